@@ -1,0 +1,2 @@
+//! The node.
+#![no_std]

@@ -1,0 +1,1 @@
+//! Railway crossing panel condition monitoring.

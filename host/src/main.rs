@@ -1,0 +1,2 @@
+//! The `cpcm` command.
+fn main() {}

@@ -1,1 +1,4 @@
 //! Railway crossing panel condition monitoring.
+
+pub mod analysis;
+pub mod recording;

@@ -1,0 +1,132 @@
+//! What `analyse` finds out about a site: the structs that the results files and the report are written from.
+
+use crate::recording::{Crossing, Scan, Skipped};
+
+/// Everything known about one site after the analysis.
+#[derive(Clone, Debug)]
+pub struct Analysis {
+    /// Site description.
+    pub crossing: Crossing,
+    /// Laser scan, where there is one (for comparison only; never used in the identification).
+    pub scan: Option<Scan>,
+    /// Calibrated ballast.
+    pub ballast: BallastEstimate,
+    /// One per usable passage.
+    pub passages: Vec<PassageResult>,
+    /// Condition indicators over all passages.
+    pub indicators: Indicators,
+    /// Passages left out, each with its reason.
+    pub skipped: Vec<Skipped>,
+}
+
+/// A value with its 90 % interval.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[allow(missing_docs)]
+pub struct Interval {
+    pub value: f64,
+    pub lower: f64,
+    pub upper: f64,
+}
+
+/// Ballast stiffness per sleeper and its three parameters (paper, section 3.1).
+#[derive(Clone, Debug)]
+pub struct BallastEstimate {
+    /// Outer stiffness p1, N/m².
+    pub p1_n_m2: Interval,
+    /// Stiffness of the crossing sleeper p2, N/m².
+    pub p2_n_m2: Interval,
+    /// Shape p3 in 0 … 1.
+    pub p3: Interval,
+    /// Per sleeper, N/m², index = sleeper number.
+    pub stiffness_n_m2: Vec<Interval>,
+    /// Residual displacement misfit of the calibrated model over the measured displacement, RMS ratio.
+    pub misfit: f64,
+}
+
+/// One train passage.
+#[derive(Clone, Debug)]
+pub struct PassageResult {
+    /// Identifier in the recording file.
+    pub passage_id: i32,
+    /// Train speed, m/s.
+    pub speed_m_s: f64,
+    /// Temperature at the sensor, °C.
+    pub temperature_c: f64,
+    /// Time at which each axle is at x = 0, seconds after the first sample.
+    pub axle_times_s: Vec<f64>,
+    /// Sampling rate of the three traces below, Hz.
+    pub trace_rate_hz: f64,
+    /// Measured acceleration, low-passed at 250 Hz, m/s².
+    pub acceleration_m_s2: Vec<f64>,
+    /// Reconstructed sleeper displacement, metres, positive down.
+    pub displacement_m: Vec<f64>,
+    /// Displacement of the calibrated model under constant wheel forces, metres.
+    pub model_displacement_m: Vec<f64>,
+    /// One per wheelset, in order of arrival.
+    pub wheelsets: Vec<WheelsetResult>,
+}
+
+/// Force and irregularity of one wheelset on the crossing side; all vectors on the same 10 mm grid.
+#[derive(Clone, Debug)]
+#[allow(missing_docs)]
+pub struct WheelsetResult {
+    pub wheelset: usize,
+    /// x, metres, ascending.
+    pub position_m: Vec<f64>,
+    /// Low-passed at 250 Hz, newtons.
+    pub contact_force_n: Vec<f64>,
+    /// 90 % interval.
+    pub lower_n: Vec<f64>,
+    pub upper_n: Vec<f64>,
+    pub peak_force_n: Interval,
+    pub peak_position_m: f64,
+    /// Band-passed 1 m … 250 Hz, metres, positive down.
+    pub irregularity_m: Vec<f64>,
+    pub irregularity_rms_m: f64,
+    /// Limits of the method that this result touches, e.g. `low-speed`, `clipped`.
+    pub flags: Vec<String>,
+}
+
+/// Condition indicators over the passages of a site (paper, section 7).
+#[derive(Clone, Debug)]
+pub struct Indicators {
+    /// Force peak per wheelset, newtons.
+    pub peak_force_n: Spread,
+    /// RMS of the band-passed irregularity per wheelset, metres.
+    pub irregularity_rms_m: Spread,
+    /// First SVD mode of the forces over all wheelsets, newtons, with its grid.
+    pub force_mode_n: Vec<f64>,
+    /// First SVD mode of the irregularity over all wheelsets, metres.
+    pub irregularity_mode_m: Vec<f64>,
+    /// Grid of the modes: x, metres.
+    pub position_m: Vec<f64>,
+    /// Verdict against the thresholds.
+    pub condition: Condition,
+    /// How soon to act.
+    pub urgency: String,
+    /// What to do, in words a maintenance planner can use.
+    pub recommended_action: String,
+}
+
+/// Mean and 80th-percentile range (the middle 80 % of the sample).
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[allow(missing_docs)]
+pub struct Spread {
+    pub mean: f64,
+    pub p10: f64,
+    pub p90: f64,
+    /// Threshold between healthy and damaged.
+    pub threshold: f64,
+}
+
+/// Condition against the thresholds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Condition {
+    /// Both indicators below their thresholds.
+    Healthy,
+    /// One indicator above its threshold, or either within 10 % of it.
+    Watch,
+    /// Both above.
+    Damaged,
+}

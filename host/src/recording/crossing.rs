@@ -1,0 +1,165 @@
+//! `crossing.toml`: what the operator knows of a crossing panel (nominal values, SI units).
+
+use serde::{Deserialize, Serialize};
+
+/// The whole file. Coordinates: x along the track, 0 at the nose tip, growing from the wing rail towards the nose.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Crossing {
+    /// Site name.
+    pub name: String,
+    /// `UIC60` (stiff pads) or `60E` (soft pads).
+    pub design: Design,
+    /// Direction in which trains run.
+    pub traffic_direction: TrafficDirection,
+    /// Sleepers along the track.
+    pub track: TrackLayout,
+    /// Rails.
+    pub rail: Rail,
+    /// Rail pads.
+    pub pad: Pad,
+    /// Sleepers.
+    pub sleeper: Sleeper,
+    /// Ballast, nominal.
+    pub ballast: Ballast,
+    /// Train.
+    pub vehicle: Vehicle,
+    /// Accelerometer.
+    pub sensor: Sensor,
+}
+
+/// Crossing panel design.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Design {
+    /// Direct, very stiff fastening of the crossing rail.
+    #[serde(rename = "UIC60")]
+    Uic60,
+    /// Resilient rail fastening.
+    #[serde(rename = "60E")]
+    E60,
+}
+
+/// Direction of traffic.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum TrafficDirection {
+    /// Trains run towards +x.
+    Facing,
+    /// Trains run towards -x.
+    Trailing,
+}
+
+impl TrafficDirection {
+    /// +1 for facing, -1 for trailing.
+    pub fn sign(self) -> f64 {
+        match self {
+            TrafficDirection::Facing => 1.0,
+            TrafficDirection::Trailing => -1.0,
+        }
+    }
+}
+
+/// `[track]`
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[allow(missing_docs)]
+pub struct TrackLayout {
+    pub n_sleepers: usize,
+    pub sleeper_spacing_m: f64,
+    /// Index of the instrumented sleeper, counted with growing x.
+    pub crossing_sleeper_index: usize,
+    pub crossing_sleeper_x_m: f64,
+}
+
+/// `[rail]`
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[allow(missing_docs)]
+pub struct Rail {
+    pub profile: String,
+    pub youngs_modulus_pa: f64,
+    pub second_moment_m4: f64,
+    pub area_m2: f64,
+    pub mass_per_metre_kg: f64,
+    /// kappa of G kappa A.
+    pub shear_coefficient: f64,
+    pub poisson: f64,
+    /// The crossing-side rail is stiffer and heavier between these positions.
+    pub crossing_part_x0_m: f64,
+    pub crossing_part_x1_m: f64,
+    pub crossing_part_stiffness_factor: f64,
+    pub crossing_part_mass_factor: f64,
+    /// C = value × K.
+    pub damping_stiffness_proportional_s: f64,
+}
+
+/// `[pad]`, per rail seat, Kelvin model.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[allow(missing_docs)]
+pub struct Pad {
+    pub stiffness_n_m: f64,
+    pub damping_ns_m: f64,
+}
+
+/// `[sleeper]`, rectangular section; y = 0 at the end beyond the stock rail.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[allow(missing_docs)]
+pub struct Sleeper {
+    pub length_m: f64,
+    pub width_m: f64,
+    pub height_m: f64,
+    pub youngs_modulus_pa: f64,
+    pub poisson: f64,
+    pub density_kg_m3: f64,
+    pub shear_coefficient: f64,
+    pub seat_stock_y_m: f64,
+    pub seat_crossing_y_m: f64,
+    pub damping_stiffness_proportional_s: f64,
+}
+
+/// `[ballast]`, Kelvin, per metre of sleeper, uniform along a sleeper.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[allow(missing_docs)]
+pub struct Ballast {
+    pub stiffness_n_m2: f64,
+    pub damping_ns_m2: f64,
+}
+
+/// `[vehicle]`
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[allow(missing_docs)]
+pub struct Vehicle {
+    #[serde(rename = "type")]
+    pub kind: String,
+    pub cars: usize,
+    pub car_length_m: f64,
+    pub bogie_centres_m: f64,
+    pub axle_spacing_m: f64,
+    pub wheelset_mass_kg: f64,
+    pub wheelset_roll_inertia_kg_m2: f64,
+    pub wheel_radius_m: f64,
+    /// Mass on an axle; static wheel force = axle load × g / 2.
+    pub axle_load_kg: f64,
+    pub gravity_m_s2: f64,
+    pub contact_half_distance_m: f64,
+    pub bogie_frame_mass_kg: f64,
+    pub bogie_frame_pitch_inertia_kg_m2: f64,
+    pub bogie_frame_roll_inertia_kg_m2: f64,
+    pub primary_stiffness_per_axle_box_n_m: f64,
+    pub primary_damping_per_axle_box_ns_m: f64,
+    pub axle_box_half_distance_m: f64,
+    /// F = C d^1.5, no tension.
+    pub hertz_constant_n_m15: f64,
+}
+
+/// `[sensor]`, on the crossing sleeper.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[allow(missing_docs)]
+pub struct Sensor {
+    pub sleeper_index: usize,
+    pub y_m: f64,
+    pub sample_rate_hz: f64,
+    pub range_m_s2: f64,
+    pub bits: u32,
+    pub antialias_order: usize,
+    pub antialias_hz: f64,
+    pub noise_rms_m_s2: f64,
+    pub bias_max_m_s2: f64,
+}

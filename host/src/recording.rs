@@ -1,8 +1,20 @@
 //! Site directories: `crossing.toml`, recordings (Parquet or CSV), optional laser scan.
 
+mod check;
 mod crossing;
+mod crossing_file;
+mod error;
+mod files;
+mod parquet;
+mod scan;
+mod table;
 
+use std::path::Path;
+
+pub use check::{MAX_PASSAGES, MAX_SAMPLES, check_passage};
 pub use crossing::*;
+pub use crossing_file::check_crossing;
+pub use error::{PassageFault, RecordingError};
 
 /// One crossing panel recorded over a number of train passages.
 #[derive(Clone, Debug)]
@@ -54,4 +66,46 @@ pub struct Skipped {
     pub row: usize,
     /// What is wrong and what to do about it.
     pub reason: String,
+}
+
+/// Reads and checks a site directory.
+///
+/// A fault of the whole (no crossing.toml, a missing column, a truncated file) is an error. A fault of one passage
+/// leaves that passage out and lists it in [`Site::skipped`]; when nothing remains, that is an error too.
+/// Files named `truth.*` are never opened here.
+pub fn read_site(dir: &Path) -> Result<Site, RecordingError> {
+    let not_a_site = |missing| RecordingError::NotASite { path: dir.into(), missing };
+    let crossing_file = dir.join("crossing.toml");
+    if !crossing_file.is_file() {
+        return Err(not_a_site("crossing.toml"));
+    }
+    let crossing = crossing_file::read_crossing(&crossing_file)?;
+    let recordings = dir.join("passages.parquet");
+    if !recordings.is_file() {
+        return Err(not_a_site("passages.parquet"));
+    }
+    let (passages, skipped) = parquet::read_passages(&recordings, &crossing)?;
+    if passages.is_empty() {
+        let first = skipped.first().map_or_else(String::new, |s| s.reason.clone());
+        return Err(RecordingError::NoUsablePassages { file: recordings, rows: skipped.len(), first });
+    }
+    let scan_file = dir.join("irregularity.csv");
+    let scan = scan_file.is_file().then(|| scan::read_scan(&scan_file)).transpose()?;
+    Ok(Site { crossing, passages, scan, skipped })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn reference_site_reads_completely() {
+        for name in ["reference-1", "reference-2", "reference-3", "known-saturation", "blind-e", "blind-g"] {
+            let dir = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/data/field").join(name);
+            let site = read_site(&dir).unwrap();
+            assert_eq!(site.passages.len(), 24, "{name}");
+            assert!(site.skipped.is_empty(), "{name}: {:?}", site.skipped);
+            assert!(site.scan.is_some());
+        }
+    }
 }

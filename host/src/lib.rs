@@ -1,8 +1,10 @@
 //! Railway crossing panel condition monitoring.
 
 pub mod analysis;
+pub mod ballast;
 pub mod beam;
 pub mod greens;
+pub mod inverse;
 pub mod reconstruct;
 pub mod vehicle;
 pub mod recording;

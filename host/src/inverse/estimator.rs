@@ -54,7 +54,6 @@ pub struct Estimator {
     prior: Prior,
     factor: Llt<f64>,
     log_det_half: f64,
-    correlation: Mat<f64>,
     axles: Vec<AxleModel>,
     /// Window per newton of the common profile, window length × profile points.
     profile_response: Mat<f64>,
@@ -63,9 +62,9 @@ pub struct Estimator {
 struct AxleModel {
     path: WheelPath,
     first_sample: i64,
-    /// Standard deviation of the deviation at each force sample, newtons.
-    sd_n: Vec<f64>,
-    /// kernel · diag(sd) · correlation factor: window per whitened force deviation.
+    /// Factor of the covariance of the wheel's own deviation at the force samples, N.
+    root_n: Mat<f64>,
+    /// kernel · root: window per whitened force deviation.
     shaped: Mat<f64>,
     /// Window of the wheel's static force.
     static_m_s2: Vec<f64>,
@@ -112,17 +111,16 @@ impl Estimator {
             speed_m_s: geometry.speed_m_s,
             time_at_origin_s: before as f64 / rate_hz + offset / geometry.speed_m_s,
         };
-        let longest = (2.0 * prior.half_m / geometry.speed_m_s * rate_hz) as usize + 2;
-        let correlation = prior.correlation_factor(longest, rate_hz).ok_or_else(bad)?;
         let mut covariance = noise_covariance(prior, len);
         let mut profile_response = Mat::zeros(len, mean.grids.len());
         let context =
-            Context { greens, static_force_n: geometry.static_force_n, prior, correlation: correlation.as_ref(), mean };
+            Context { greens, static_force_n: geometry.static_force_n, prior, mean };
         let axles: Vec<AxleModel> = geometry
             .axle_offset_m
             .iter()
             .map(|o| AxleModel::new(&context, path(*o), &mut covariance, &mut profile_response))
-            .collect();
+            .collect::<Option<_>>()
+            .ok_or_else(bad)?;
         let expected_m_s2 = expected_window(greens, geometry, &path, &axles, len);
         let factor = covariance.llt(faer::Side::Lower).map_err(|_| bad())?;
         let l = factor.L();
@@ -135,7 +133,6 @@ impl Estimator {
             prior: prior.clone(),
             factor,
             log_det_half,
-            correlation,
             axles,
             profile_response,
         })
@@ -181,10 +178,9 @@ impl Estimator {
     }
 
     fn axle_gain(&self, axle: &AxleModel, grid_m: &[f64], low_pass_hz: f64) -> AxleGain {
-        let (m, n, g) = (axle.sd_n.len(), self.len(), grid_m.len());
+        let (m, n, g) = (axle.mean_n.len(), self.len(), grid_m.len());
         let low_pass = axle.low_pass(grid_m, low_pass_hz, self.rate_hz);
-        let scaled = Mat::from_fn(g, m, |i, j| low_pass[(i, j)] * axle.sd_n[j]);
-        let whitened = scaled * self.correlation.submatrix(0, 0, m, m);
+        let whitened = &low_pass * &axle.root_n;
         let load_variance = self.prior.load_sd.powi(2);
         // Covariance between the forces on the grid and the window.
         let mut cross = Mat::from_fn(g, n, |_, k| load_variance * self.static_force_n * axle.static_m_s2[k]);
@@ -209,18 +205,20 @@ struct Context<'a> {
     greens: &'a GreensFunctions,
     static_force_n: f64,
     prior: &'a Prior,
-    correlation: MatRef<'a, f64>,
     mean: &'a CommonProfile,
 }
 
 impl AxleModel {
     /// Adds the axle's share to the covariance of the window and to its response to the common profile.
-    fn new(context: &Context, path: WheelPath, covariance: &mut Mat<f64>, profile_response: &mut Mat<f64>) -> Self {
-        let Context { greens, static_force_n, prior, correlation, mean } = *context;
+    fn new(context: &Context, path: WheelPath, covariance: &mut Mat<f64>, profile_response: &mut Mat<f64>) -> Option<Self> {
+        let Context { greens, static_force_n, prior, mean } = *context;
         let (rate, len) = (greens.sampling.rate_hz, covariance.nrows());
         let range = path.samples_within(prior.half_m, rate);
         let positions: Vec<f64> = range.clone().map(|j| path.x_m(j as f64 / rate)).collect();
+        let step = 1.0 / (rate * prior.correlation_s);
         let sd_n: Vec<f64> = positions.iter().map(|x| prior.crossing_sd_n(&prior.own, *x)).collect();
+        let root_n = prior.covariance_factor(&positions, &sd_n, step)?;
+        let stock_root_n = prior.covariance_factor(&positions, &vec![prior.own.stock_n; positions.len()], step)?;
         let mut static_m_s2 = vec![0.0; len];
         for side in [Side::Crossing, Side::Stock] {
             for (s, r) in static_m_s2.iter_mut().zip(constant_force_response(greens, side, &path, len)) {
@@ -228,27 +226,27 @@ impl AxleModel {
             }
         }
         let mut expected_m_s2 = static_m_s2.clone();
-        let mut add_side = |side: Side, sd: &dyn Fn(usize) -> f64| {
+        let mut add_side = |side: Side, root: &Mat<f64>| {
             let matrix = kernel(greens, side, &path, prior.half_m, len);
             for (j, x) in positions.iter().enumerate() {
                 add_scaled(&mut expected_m_s2, matrix.col_as_slice(j), mean.at(side, *x));
             }
             add_profile_response(profile_response, &matrix, &positions, &mean.grids, side);
-            let shaped = shape(&matrix, sd, correlation);
+            let shaped = &matrix * root;
             add_square(covariance, &shaped);
             shaped
         };
-        let shaped = add_side(Side::Crossing, &|j| sd_n[j]);
-        add_side(Side::Stock, &|_| prior.own.stock_n);
+        let shaped = add_side(Side::Crossing, &root_n);
+        add_side(Side::Stock, &stock_root_n);
         add_outer(covariance, &static_m_s2, prior.load_sd.powi(2));
         let mean_n = positions.iter().map(|x| mean.at(Side::Crossing, *x)).collect();
-        Self { path, first_sample: *range.start(), sd_n, shaped, static_m_s2, expected_m_s2, mean_n }
+        Some(Self { path, first_sample: *range.start(), root_n, shaped, static_m_s2, expected_m_s2, mean_n })
     }
 
     /// Brick-wall low-pass of the force samples, evaluated at the positions `grid_m`: band-limited interpolation.
     fn low_pass(&self, grid_m: &[f64], low_pass_hz: f64, rate_hz: f64) -> Mat<f64> {
         let scale = 2.0 * low_pass_hz / rate_hz;
-        Mat::from_fn(grid_m.len(), self.sd_n.len(), |i, j| {
+        Mat::from_fn(grid_m.len(), self.mean_n.len(), |i, j| {
             let t = self.path.time_at_origin_s + self.path.direction * grid_m[i] / self.path.speed_m_s;
             let u = 2.0 * low_pass_hz * (t - (self.first_sample + j as i64) as f64 / rate_hz);
             let pi_u = std::f64::consts::PI * u;
@@ -288,25 +286,6 @@ fn add_profile_response(out: &mut Mat<f64>, kernel: &Mat<f64>, positions: &[f64]
 fn noise_covariance(prior: &Prior, len: usize) -> Mat<f64> {
     let offset = prior.offset_sd_m_s2.powi(2);
     Mat::from_fn(len, len, |i, j| offset + if i == j { prior.noise_m_s2.powi(2) } else { 0.0 })
-}
-
-/// kernel · diag(sd) · correlation factor (lower triangular).
-fn shape(kernel: &Mat<f64>, sd: &dyn Fn(usize) -> f64, correlation: MatRef<f64>) -> Mat<f64> {
-    let (n, m) = (kernel.nrows(), kernel.ncols());
-    let scaled = Mat::from_fn(n, m, |i, j| kernel[(i, j)] * sd(j));
-    let mut out = Mat::zeros(n, m);
-    triangular::matmul(
-        &mut out,
-        triangular::BlockStructure::Rectangular,
-        Accum::Replace,
-        &scaled,
-        triangular::BlockStructure::Rectangular,
-        correlation.submatrix(0, 0, m, m),
-        triangular::BlockStructure::TriangularLower,
-        1.0,
-        Par::Seq,
-    );
-    out
 }
 
 /// covariance += shaped · shapedᵀ, lower triangle.

@@ -97,6 +97,10 @@ impl SiteModel<'_> {
         let profile_prior = self.grids.prior_covariance(self.prior);
         prior.submatrix_mut(0, 0, m - 1, m - 1).copy_from(&profile_prior);
         prior[(m - 1, m - 1)] = self.common_shift_sd_m.powi(2);
+        let largest = (0..m).map(|i| prior[(i, i)]).fold(0.0, f64::max);
+        for i in 0..m - 1 {
+            prior[(i, i)] += 1e-9 * largest;
+        }
         let mut information: Mat<f64> = Mat::zeros(m, m);
         let mut vector: Mat<f64> = Mat::zeros(m, 1);
         let mut log_evidence = 0.0;

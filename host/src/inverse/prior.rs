@@ -1,6 +1,7 @@
 //! What is assumed of the forces before the recording is seen.
 
 use faer::Mat;
+use faer::linalg::solvers::Solve as _;
 
 /// Gaussian prior of the force deviations f − Q and of the noise.
 ///
@@ -20,6 +21,9 @@ pub struct Prior {
     pub correlation_s: f64,
     /// Correlation length of the common profile (Matérn 5/2), metres.
     pub correlation_m: f64,
+    /// Standard deviation of the deviation's amplitude at wavelengths longer than [`SLOW_WAVELENGTH_M`], newtons: the
+    /// unsprung mass cannot produce more, because it follows the slow variation of the deflection.
+    pub slow_n: f64,
     /// Standard deviation of a wheel's static load relative to the nominal one.
     pub load_sd: f64,
     /// Noise of one window sample, m/s².
@@ -52,6 +56,7 @@ impl Prior {
             edge_m: 0.25,
             correlation_s: 2e-3,
             correlation_m: 0.09,
+            slow_n: 1.5e3,
             load_sd: 0.02,
             noise_m_s2: 0.08,
             offset_sd_m_s2: 0.02,
@@ -77,20 +82,53 @@ impl Prior {
         spread.outside_n + (spread.region_n - spread.outside_n) * inside
     }
 
-    /// Lower Cholesky factor of the Matérn-5/2 correlation of `n` force samples at `rate_hz`; `None` if the
-    /// factorisation fails (a non-finite correlation time).
-    pub fn correlation_factor(&self, n: usize, rate_hz: f64) -> Option<Mat<f64>> {
-        let step = 1.0 / (rate_hz * self.correlation_s);
-        matern(n, step).llt(faer::Side::Lower).ok().map(|f| f.L().to_owned())
+    /// Covariance of a deviation with standard deviations `sd_n` at equidistant positions, N²: Matérn 5/2 with `step`
+    /// correlation lengths between neighbours, its slow part limited to [`Self::slow_n`].
+    pub fn covariance(&self, positions_m: &[f64], sd_n: &[f64], step: f64) -> Mat<f64> {
+        let n = positions_m.len();
+        let free = Mat::from_fn(n, n, |i, j| sd_n[i] * sd_n[j] * matern_at(i.abs_diff(j), step));
+        let slow = slow_amplitudes(positions_m, 2.0 * self.half_m);
+        let cross = &free * &slow;
+        let k = slow.ncols();
+        let inner = slow.transpose() * &cross + Mat::from_fn(k, k, |i, j| if i == j { self.slow_n.powi(2) } else { 0.0 });
+        match inner.llt(faer::Side::Lower) {
+            Ok(factor) => &free - &cross * factor.solve(cross.transpose()),
+            Err(_) => free,
+        }
+    }
+
+    /// Lower Cholesky factor of [`Self::covariance`]; `None` if it is not finite.
+    pub fn covariance_factor(&self, positions_m: &[f64], sd_n: &[f64], step: f64) -> Option<Mat<f64>> {
+        let mut covariance = self.covariance(positions_m, sd_n, step);
+        let largest = (0..positions_m.len()).map(|i| covariance[(i, i)]).fold(0.0, f64::max);
+        for i in 0..positions_m.len() {
+            covariance[(i, i)] += JITTER * largest + f64::MIN_POSITIVE;
+        }
+        covariance.llt(faer::Side::Lower).ok().map(|f| f.L().to_owned())
     }
 }
 
-/// Matérn-5/2 correlation matrix of `n` equidistant points, `step` correlation lengths apart; a jitter of 1e-9 keeps
-/// it positive definite.
-pub fn matern(n: usize, step: f64) -> Mat<f64> {
-    let value = |lag: usize| {
-        let r = 5f64.sqrt() * lag as f64 * step;
-        (1.0 + r + r * r / 3.0) * (-r).exp()
-    };
-    Mat::from_fn(n, n, |i, j| value(i.abs_diff(j)) + if i == j { 1e-9 } else { 0.0 })
+/// Wavelength beyond which the response is quasi-static, metres (paper, section 3.1).
+pub const SLOW_WAVELENGTH_M: f64 = 2.3;
+/// Relative to the largest variance; keeps a Cholesky factorisation alive.
+const JITTER: f64 = 1e-9;
+
+/// Functionals that read the amplitudes of the slow harmonics over a stretch of `span_m` from equidistant values.
+fn slow_amplitudes(positions_m: &[f64], span_m: f64) -> Mat<f64> {
+    let harmonics = (span_m / SLOW_WAVELENGTH_M).floor() as usize;
+    let n = positions_m.len();
+    Mat::from_fn(n, 1 + 2 * harmonics, |i, c| {
+        let phase = std::f64::consts::TAU * c.div_ceil(2) as f64 * positions_m[i] / span_m;
+        match c {
+            0 => 1.0 / n as f64,
+            _ if c % 2 == 1 => 2.0 / n as f64 * phase.cos(),
+            _ => 2.0 / n as f64 * phase.sin(),
+        }
+    })
+}
+
+/// Matérn-5/2 correlation at a distance of `lag` steps of `step` correlation lengths.
+fn matern_at(lag: usize, step: f64) -> f64 {
+    let r = 5f64.sqrt() * lag as f64 * step;
+    (1.0 + r + r * r / 3.0) * (-r).exp()
 }

@@ -2,7 +2,7 @@
 
 use faer::Mat;
 
-use super::prior::{Prior, matern};
+use super::prior::Prior;
 use crate::track::Side;
 
 /// Equidistant positions along the track.
@@ -72,16 +72,16 @@ impl ProfileGrids {
         let mut out = Mat::zeros(self.len(), self.len());
         for side in [Side::Crossing, Side::Stock] {
             let (grid, first) = self.part(side);
-            let correlation = matern(grid.len, grid.step_m / prior.correlation_m);
-            let sd = |i: usize| match side {
-                Side::Crossing => prior.crossing_sd_n(&prior.common, grid.position_m(i)),
-                Side::Stock => prior.common.stock_n,
-            };
-            for i in 0..grid.len {
-                for j in 0..grid.len {
-                    out[(first + i, first + j)] = sd(i) * sd(j) * correlation[(i, j)];
-                }
-            }
+            let positions: Vec<f64> = (0..grid.len).map(|i| grid.position_m(i)).collect();
+            let sd: Vec<f64> = positions
+                .iter()
+                .map(|x| match side {
+                    Side::Crossing => prior.crossing_sd_n(&prior.common, *x),
+                    Side::Stock => prior.common.stock_n,
+                })
+                .collect();
+            let part = prior.covariance(&positions, &sd, grid.step_m / prior.correlation_m);
+            out.submatrix_mut(first, first, grid.len, grid.len).copy_from(&part);
         }
         out
     }

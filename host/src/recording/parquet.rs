@@ -131,7 +131,7 @@ fn check_size(metadata: &ParquetMetaData) -> Result<(), String> {
     let mut bytes: i64 = 0;
     for column in metadata.row_groups().iter().flat_map(|group| group.columns()) {
         let (size, values) = (column.uncompressed_size(), column.num_values());
-        if size < 0 || values < 0 || values > MAX_DECODED_BYTES / 4 {
+        if size < 0 || !(0..=MAX_DECODED_BYTES / 4).contains(&values) {
             return Err(format!("it announces {values} values in {size} bytes in one column"));
         }
         bytes = bytes.saturating_add(size);

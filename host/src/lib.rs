@@ -1,4 +1,11 @@
 //! Railway crossing panel condition monitoring.
 
 pub mod analysis;
+pub mod beam;
+pub mod greens;
+pub mod reconstruct;
+pub mod vehicle;
 pub mod recording;
+pub mod section;
+pub mod signal;
+pub mod track;

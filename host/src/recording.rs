@@ -7,10 +7,10 @@ mod csv;
 mod error;
 pub(crate) mod files;
 mod mseed;
-mod parquet;
+pub(crate) mod parquet;
 mod samples;
 mod scan;
-mod table;
+pub(crate) mod table;
 pub mod truth;
 
 use std::path::Path;

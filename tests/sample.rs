@@ -122,8 +122,8 @@ fn indicators(passages: &[PassageResult]) -> Indicators {
         (0..241).map(|i| mean(&all.iter().map(|w| 0.98 * value(w)[i]).collect::<Vec<_>>())).collect()
     };
     Indicators {
-        peak_force_n: spread(all.iter().map(|w| w.peak_force_n.value).collect(), 200e3),
-        irregularity_rms_m: spread(all.iter().map(|w| w.irregularity_rms_m).collect(), 350e-6),
+        peak_force_n: spread(all.iter().map(|w| w.peak_force_n.value).collect(), 175e3),
+        irregularity_rms_m: spread(all.iter().map(|w| w.irregularity_rms_m).collect(), 270e-6),
         force_mode_n: average(|w| &w.contact_force_n),
         irregularity_mode_m: average(|w| &w.irregularity_m),
         position_m: all[0].position_m.clone(),

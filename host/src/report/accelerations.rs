@@ -44,7 +44,7 @@ fn plot(passages: &[PassageResult], range: (f64, f64), width: u32) -> Result<Str
         width: 4,
     });
     let plot = Plot {
-        x: Axis { caption: "run of the train since its first axle passed the nose tip, m", range },
+        x: Axis { caption: "run since the first axle passed the nose tip, m", range },
         y: Axis { caption: "acceleration, m/s²", range: (low, high) },
         down: false,
         height: 720,

@@ -34,10 +34,10 @@ pub(super) fn figure(analysis: &Analysis) -> Result<Figure, ReportError> {
             points: shown.iter().map(|s| (s.0, s.1)).collect(),
             color: BLUE,
             opacity: 1.0,
-            size: 12,
+            size: 8,
         },
         Layer::Word {
-            at: (centre as f64 - 1.4, 0.07 * high),
+            at: (centre as f64 + 0.12, 0.09 * high),
             text: "crossing sleeper".into(),
             color: ORANGE,
         },
@@ -60,7 +60,7 @@ pub(super) fn figure(analysis: &Analysis) -> Result<Figure, ReportError> {
         keys: vec![
             Key::dot("calibrated", BLUE),
             Key::band("90 % interval", BLUE),
-            Key::line("nominal", GREY),
+            Key::dashed("nominal", GREY),
         ],
         svg: plot.svg("ballast stiffness per sleeper with its 90 % interval")?,
     })

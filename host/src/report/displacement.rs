@@ -77,7 +77,7 @@ fn plot(
         },
     ];
     let plot = Plot {
-        x: Axis { caption: "run of the train since its first axle passed the nose tip, m", range },
+        x: Axis { caption: "run since the first axle passed the nose tip, m", range },
         y: Axis { caption: "displacement, mm (down)", range: (low, high) },
         down: true,
         height: 680,

@@ -28,27 +28,25 @@ pub(super) fn figure(analysis: &Analysis) -> Result<Figure, ReportError> {
     let range = range_of(all.iter().flatten().map(|p| p.1).chain([0.0]), 0.04);
     let ends = (grid.first().copied().unwrap_or(-1.0), grid.last().copied().unwrap_or(1.0));
     let mut layers: Vec<Layer> =
-        all.into_iter().map(|points| Layer::Line { points, color: GREY, opacity: 0.22, width: 2 }).collect();
+        all.into_iter().map(|points| Layer::Line { points, color: GREY, opacity: 0.09, width: 2 }).collect();
     layers.extend([
-        Layer::Dots { points: tops, color: GREY, opacity: 0.55, size: 5 },
+        Layer::Dots { points: tops, color: GREY, opacity: 0.5, size: 4 },
         Layer::Band {
             points: spread.iter().map(|s| (s.x, s.p10, s.p90)).collect(),
             color: BLUE,
-            opacity: 0.18,
+            opacity: 0.25,
         },
         Layer::Band {
             points: spread.iter().zip(&half).map(|(s, h)| (s.x, s.mean - h.mean, s.mean + h.mean)).collect(),
             color: BLUE,
-            opacity: 0.45,
+            opacity: 0.55,
         },
         Layer::Dashed { points: vec![(ends.0, resting), (ends.1, resting)], color: GREY, width: 3 },
         Layer::Line {
             points: spread.iter().map(|s| (s.x, s.mean)).collect(),
             color: BLUE,
-            opacity: 1.0,
-            width: 5,
-        },
-        Layer::Dashed { points: mode, color: RED, width: 5 },
+            opacity: 1.0, width: 3 },
+        Layer::Dashed { points: mode, color: RED, width: 3 },
         Layer::Dashed { points: vec![(0.0, range.0), (0.0, range.1)], color: ORANGE, width: 2 },
         Layer::Word {
             at: (0.012, range.1 - 0.03 * (range.1 - range.0)),

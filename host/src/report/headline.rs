@@ -86,11 +86,13 @@ fn facts(analysis: &Analysis) -> Vec<(&'static str, String, String)> {
             ),
         ),
         (
-            "Ballast under the crossing",
-            format!("{} MN/m²", with_interval(b.p2_n_m2, 1e-6)),
+            "Crossing ballast",
+            format!("{:.1} MN/m²", 1e-6 * b.p2_n_m2.value),
             format!(
-                "elsewhere {} MN/m²; shape p3 {:.2} ({:.2}\u{2013}{:.2})",
-                with_interval(b.p1_n_m2, 1e-6),
+                "90 %: {}; elsewhere {:.1} ({}); shape p3 {:.2} ({:.2}\u{2013}{:.2})",
+                interval(b.p2_n_m2, 1e-6),
+                1e-6 * b.p1_n_m2.value,
+                interval(b.p1_n_m2, 1e-6),
                 b.p3.value,
                 b.p3.lower,
                 b.p3.upper
@@ -104,9 +106,9 @@ fn facts(analysis: &Analysis) -> Vec<(&'static str, String, String)> {
     ]
 }
 
-/// Value with its 90 % interval in brackets.
-fn with_interval(v: Interval, factor: f64) -> String {
-    format!("{:.1} ({:.1}\u{2013}{:.1})", factor * v.value, factor * v.lower, factor * v.upper)
+/// The ends of a 90 % interval.
+fn interval(v: Interval, factor: f64) -> String {
+    format!("{:.1}\u{2013}{:.1}", factor * v.lower, factor * v.upper)
 }
 
 /// Capital letter, full stop.

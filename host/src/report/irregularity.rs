@@ -19,7 +19,7 @@ pub(super) fn figure(analysis: &Analysis) -> Result<Figure, ReportError> {
     let ends = (grid.first().copied().unwrap_or(-1.0), grid.last().copied().unwrap_or(1.0));
     let range = range_of(all.iter().chain(&scan).flatten().map(|p| p.1), 0.06);
     let mut layers: Vec<Layer> =
-        all.into_iter().map(|points| Layer::Line { points, color: GREY, opacity: 0.22, width: 2 }).collect();
+        all.into_iter().map(|points| Layer::Line { points, color: GREY, opacity: 0.12, width: 2 }).collect();
     layers.extend([
         Layer::Band {
             points: spread.iter().map(|s| (s.x, s.p10, s.p90)).collect(),

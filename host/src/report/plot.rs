@@ -98,7 +98,7 @@ impl Plot<'_> {
             .margin_top(18)
             .margin_right(36)
             .margin_bottom(6)
-            .x_label_area_size(88)
+            .x_label_area_size(104)
             .y_label_area_size(if self.y.caption.is_empty() { 36 } else { 138 })
             .build_cartesian_2d(x.0..x.1, y.0..y.1)
             .map_err(ReportError::draw)?;

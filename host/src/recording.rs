@@ -3,11 +3,15 @@
 mod check;
 mod crossing;
 mod crossing_file;
+mod csv;
 mod error;
-mod files;
-mod parquet;
+pub(crate) mod files;
+mod mseed;
+pub(crate) mod parquet;
+mod samples;
 mod scan;
-mod table;
+pub(crate) mod table;
+pub mod truth;
 
 use std::path::Path;
 
@@ -30,7 +34,7 @@ pub struct Site {
 }
 
 /// One recorded train passage.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Passage {
     /// Identifier in the file.
     pub passage_id: i32,
@@ -80,11 +84,13 @@ pub fn read_site(dir: &Path) -> Result<Site, RecordingError> {
         return Err(not_a_site("crossing.toml"));
     }
     let crossing = crossing_file::read_crossing(&crossing_file)?;
-    let recordings = dir.join("passages.parquet");
-    if !recordings.is_file() {
-        return Err(not_a_site("passages.parquet"));
-    }
-    let (passages, skipped) = parquet::read_passages(&recordings, &crossing)?;
+    let (recordings, index) = (dir.join("passages.parquet"), dir.join("passages.csv"));
+    let (recordings, (passages, skipped)) = match (recordings.is_file(), index.is_file()) {
+        (true, false) => (recordings.clone(), parquet::read_passages(&recordings, &crossing)?),
+        (false, true) => (index, csv::read_passages(dir, &crossing)?),
+        (true, true) => return Err(RecordingError::TwoRecordings { path: dir.into() }),
+        (false, false) => return Err(not_a_site("passages.parquet")),
+    };
     if passages.is_empty() {
         let first = skipped.first().map_or_else(String::new, |s| s.reason.clone());
         return Err(RecordingError::NoUsablePassages { file: recordings, rows: skipped.len(), first });
@@ -92,6 +98,34 @@ pub fn read_site(dir: &Path) -> Result<Site, RecordingError> {
     let scan_file = dir.join("irregularity.csv");
     let scan = scan_file.is_file().then(|| scan::read_scan(&scan_file)).transpose()?;
     Ok(Site { crossing, passages, scan, skipped })
+}
+
+/// How the recordings of a site are stored.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Format {
+    /// `passages.parquet`.
+    Parquet,
+    /// `passages.csv` and `passages/NNN.csv`.
+    Csv,
+}
+
+/// How the recordings in a site directory are stored, judged by the files that are there.
+pub fn format_of(dir: &Path) -> Format {
+    if dir.join("passages.csv").is_file() { Format::Csv } else { Format::Parquet }
+}
+
+/// Writes a site directory, which is created when it does not exist. Each file appears under its name only when
+/// it is complete.
+pub fn write_site(dir: &Path, site: &Site, format: Format) -> Result<(), RecordingError> {
+    files::create_dir(dir)?;
+    crossing_file::write_crossing(&dir.join("crossing.toml"), &site.crossing)?;
+    if let Some(scan) = &site.scan {
+        scan::write_scan(&dir.join("irregularity.csv"), scan)?;
+    }
+    match format {
+        Format::Parquet => parquet::write_passages(&dir.join("passages.parquet"), &site.passages),
+        Format::Csv => csv::write_passages(dir, &site.passages),
+    }
 }
 
 #[cfg(test)]
@@ -106,6 +140,22 @@ mod tests {
             assert_eq!(site.passages.len(), 24, "{name}");
             assert!(site.skipped.is_empty(), "{name}: {:?}", site.skipped);
             assert!(site.scan.is_some());
+        }
+    }
+
+    #[test]
+    fn regress_site_survives_both_formats() {
+        let dir = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/data/field/reference-3");
+        let mut site = read_site(&dir).unwrap();
+        site.passages.truncate(3);
+        for format in [Format::Parquet, Format::Csv] {
+            let out = tempfile::tempdir().unwrap();
+            write_site(out.path(), &site, format).unwrap();
+            assert_eq!(format_of(out.path()), format);
+            let again = read_site(out.path()).unwrap();
+            assert_eq!(again.crossing, site.crossing);
+            assert_eq!(again.passages, site.passages);
+            assert_eq!(again.scan, site.scan);
         }
     }
 }

@@ -83,7 +83,7 @@ pub fn check_passage(passage: &Passage, crossing: &Crossing) -> Result<(), Passa
     )?;
     let expected = crossing.sensor.sample_rate_hz;
     let value = passage.sample_rate_hz;
-    if !((value - expected).abs() <= RATE_TOLERANCE * expected) {
+    if !value.is_finite() || (value - expected).abs() > RATE_TOLERANCE * expected {
         return Err(PassageFault::SampleRate { value, expected });
     }
     check_samples(&passage.acceleration_m_s2)?;

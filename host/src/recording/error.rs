@@ -21,6 +21,9 @@ pub enum RecordingError {
     )]
     TwoRecordings { path: PathBuf },
 
+    #[error("{path} is a file; name a directory for the results")]
+    NotADirectory { path: PathBuf },
+
     #[error("{file} is {bytes} bytes long, more than the {limit} bytes that a site may hold; split the site")]
     TooLarge { file: PathBuf, bytes: u64, limit: u64 },
 

@@ -23,6 +23,18 @@ pub(crate) fn read_bytes(file: &Path) -> Result<Vec<u8>, RecordingError> {
     std::fs::read(file).map_err(io)
 }
 
+/// Creates a directory for results; refuses a file of that name.
+pub(crate) fn create_dir(dir: &Path) -> Result<(), RecordingError> {
+    if dir.exists() && !dir.is_dir() {
+        return Err(RecordingError::NotADirectory { path: dir.into() });
+    }
+    std::fs::create_dir_all(dir).map_err(|source| RecordingError::Io {
+        doing: "create",
+        path: dir.into(),
+        source,
+    })
+}
+
 /// Writes a file under a temporary name in the same directory and renames it.
 pub(crate) fn write_atomic(file: &Path, bytes: &[u8]) -> Result<(), RecordingError> {
     write_atomic_with(file, |out| out.write_all(bytes))

@@ -3,15 +3,21 @@
 use std::fs::File;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
+use std::sync::Arc;
 
+use arrow_array::builder::{Float32Builder, ListBuilder};
 use arrow_array::cast::AsArray;
 use arrow_array::types::{Float32Type, Float64Type};
-use arrow_array::{Array, RecordBatch};
+use arrow_array::{Array, ArrayRef, Float64Array, Int32Array, RecordBatch, StringArray};
 use arrow_schema::DataType;
+use parquet::arrow::ArrowWriter;
 use parquet::arrow::arrow_reader::{ParquetRecordBatchReader, ParquetRecordBatchReaderBuilder};
+use parquet::basic::{Compression, ZstdLevel};
 use parquet::file::metadata::ParquetMetaData;
+use parquet::file::properties::WriterProperties;
 
 use super::check::{Gate, MAX_PASSAGES, MAX_SAMPLES};
+use super::files::write_atomic_with;
 use super::table::{Cells, Kind, check_schema};
 use super::{Crossing, Passage, PassageFault, RecordingError, Skipped};
 
@@ -102,7 +108,7 @@ pub(crate) fn for_each_batch(
 
 /// Runs the decoder of the `parquet` crate. It indexes with lengths read from the file, so a damaged file can
 /// make it panic; here that becomes an error like any other damage. Nothing else in the project unwinds on purpose.
-fn guarded<T>(decode: impl FnOnce() -> T) -> Result<T, String> {
+pub(super) fn guarded<T>(decode: impl FnOnce() -> T) -> Result<T, String> {
     catch_unwind(AssertUnwindSafe(decode)).map_err(|_| "its contents contradict each other".to_string())
 }
 
@@ -125,10 +131,48 @@ fn check_size(metadata: &ParquetMetaData) -> Result<(), String> {
     let mut bytes: i64 = 0;
     for column in metadata.row_groups().iter().flat_map(|group| group.columns()) {
         let (size, values) = (column.uncompressed_size(), column.num_values());
-        if size < 0 || values < 0 || values > MAX_DECODED_BYTES / 4 {
+        if size < 0 || !(0..=MAX_DECODED_BYTES / 4).contains(&values) {
             return Err(format!("it announces {values} values in {size} bytes in one column"));
         }
         bytes = bytes.saturating_add(size);
     }
     if bytes > MAX_DECODED_BYTES { Err(format!("it announces {bytes} bytes of data")) } else { Ok(()) }
+}
+
+/// Writes `passages.parquet` with the column types of the format.
+pub(super) fn write_passages(file: &Path, passages: &[Passage]) -> Result<(), RecordingError> {
+    let mut lists = ListBuilder::new(Float32Builder::new());
+    for p in passages {
+        lists.values().append_slice(&p.acceleration_m_s2);
+        lists.append(true);
+    }
+    let float = |value: fn(&Passage) -> f64| -> ArrayRef {
+        Arc::new(passages.iter().map(|p| Some(value(p))).collect::<Float64Array>())
+    };
+    let columns: [(&str, ArrayRef); 7] = [
+        ("passage_id", Arc::new(passages.iter().map(|p| Some(p.passage_id)).collect::<Int32Array>())),
+        ("train_type", Arc::new(passages.iter().map(|p| Some(&p.train_type)).collect::<StringArray>())),
+        ("axle_load_kg", float(|p| p.axle_load_kg)),
+        ("speed_m_s", Arc::new(passages.iter().map(|p| p.speed_m_s).collect::<Float64Array>())),
+        ("temperature_c", float(|p| p.temperature_c)),
+        ("sample_rate_hz", float(|p| p.sample_rate_hz)),
+        ("acceleration_m_s2", Arc::new(lists.finish())),
+    ];
+    write_columns(file, columns)
+}
+
+/// Writes one table, compressed with zstd, under its name only when it is complete.
+pub(crate) fn write_columns<const N: usize>(
+    file: &Path,
+    columns: [(&str, ArrayRef); N],
+) -> Result<(), RecordingError> {
+    write_atomic_with(file, |out| {
+        let batch = RecordBatch::try_from_iter(columns).map_err(std::io::Error::other)?;
+        let compression = Compression::ZSTD(ZstdLevel::default());
+        let properties = WriterProperties::builder().set_compression(compression).build();
+        let mut writer = ArrowWriter::try_new(out, batch.schema(), Some(properties))?;
+        writer.write(&batch)?;
+        writer.close()?;
+        Ok(())
+    })
 }

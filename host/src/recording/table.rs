@@ -12,6 +12,7 @@ use super::RecordingError;
 const INTEGER: &str = "int32";
 const NUMBER: &str = "float64";
 const TEXT: &str = "string";
+const TEXTS: &str = "list<string>";
 const NUMBERS: &str = "list<float32> or list<float64>";
 
 /// What a column must hold.
@@ -21,6 +22,7 @@ pub(crate) enum Kind {
     Number,
     Text,
     Numbers,
+    Texts,
 }
 
 impl Kind {
@@ -30,6 +32,7 @@ impl Kind {
             Kind::Number => NUMBER,
             Kind::Text => TEXT,
             Kind::Numbers => NUMBERS,
+            Kind::Texts => TEXTS,
         }
     }
 
@@ -41,6 +44,7 @@ impl Kind {
             (Kind::Numbers, List(item) | LargeList(item)) => {
                 matches!(item.data_type(), Float32 | Float64)
             }
+            (Kind::Texts, List(item)) => *item.data_type() == Utf8,
             _ => false,
         }
     }

@@ -2,8 +2,11 @@
 
 pub mod analysis;
 pub mod beam;
+pub mod cmd;
 pub mod greens;
 pub mod reconstruct;
+pub mod pipeline;
+pub mod progress;
 pub mod recording;
 pub mod report;
 pub mod results;
@@ -11,3 +14,4 @@ pub mod section;
 pub mod signal;
 pub mod track;
 pub mod vehicle;
+pub mod verification;

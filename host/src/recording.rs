@@ -79,6 +79,9 @@ pub struct Skipped {
 /// Files named `truth.*` are never opened here.
 pub fn read_site(dir: &Path) -> Result<Site, RecordingError> {
     let not_a_site = |missing| RecordingError::NotASite { path: dir.into(), missing };
+    if !dir.is_dir() {
+        return Err(RecordingError::NoDirectory { path: dir.into() });
+    }
     let crossing_file = dir.join("crossing.toml");
     if !crossing_file.is_file() {
         return Err(not_a_site("crossing.toml"));

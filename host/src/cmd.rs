@@ -14,6 +14,8 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 
+use crate::recording::silence_guarded_panics;
+
 /// Railway crossing panel condition monitoring from sleeper accelerations
 ///
 /// Start with `cpcm demo`: it needs no data and shows the whole chain.
@@ -39,6 +41,7 @@ enum Command {
 
 /// Parses the command line, runs the subcommand and reports its outcome.
 pub fn main() -> ExitCode {
+    silence_guarded_panics();
     let result = match Cli::parse().command {
         Command::Demo(args) => args.run(),
         Command::Analyse(args) => args.run(),

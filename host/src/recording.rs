@@ -6,6 +6,7 @@ mod crossing_file;
 mod csv;
 mod error;
 pub(crate) mod files;
+mod guard;
 mod mseed;
 pub(crate) mod parquet;
 mod samples;
@@ -18,6 +19,7 @@ use std::path::Path;
 pub use check::{MAX_PASSAGES, MAX_SAMPLES, check_passage};
 pub use crossing::*;
 pub use crossing_file::check_crossing;
+pub use guard::silence_guarded_panics;
 pub use error::{PassageFault, RecordingError};
 
 /// One crossing panel recorded over a number of train passages.

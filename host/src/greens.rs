@@ -7,7 +7,7 @@ use faer::c64;
 
 use crate::beam;
 use crate::signal::{AntiAlias, irfft, rfft_frequencies_hz, taper};
-use crate::track::{SensorReceptance, Side, Track};
+use crate::track::{Side, Track};
 
 /// What the Green's functions describe at the sensor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

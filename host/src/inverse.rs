@@ -6,7 +6,10 @@
 //! f̂ = b + K a with fixed K, b and fixed interval widths. The same K is what the node applies.
 
 mod estimator;
+pub mod hierarchy;
 mod prior;
+mod profile;
 
 pub use estimator::{Estimator, GroupGeometry, InverseError};
-pub use prior::Prior;
+pub use prior::{Prior, Spread};
+pub use profile::{CommonProfile, PositionGrid, ProfileGrids};

@@ -1,9 +1,11 @@
 //! Railway crossing panel condition monitoring.
 
 pub mod analysis;
+pub mod ballast;
 pub mod beam;
 pub mod cmd;
 pub mod greens;
+pub mod inverse;
 pub mod reconstruct;
 pub mod pipeline;
 pub mod progress;

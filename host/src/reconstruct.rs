@@ -94,6 +94,17 @@ impl Recording {
     /// Band-limited acceleration at `window_rate_hz`, `len` samples from `start_s` on (any real time; zero outside the
     /// recording). Resampling is exact: the time shift is a phase in the spectrum.
     pub fn window(&self, start_s: f64, window_rate_hz: f64, len: usize, band_hz: [f64; 2]) -> Vec<f64> {
+        self.resampled(start_s, window_rate_hz, len, |f| c64::new(taper(f, band_hz[0], band_hz[1]), 0.0))
+    }
+
+    /// Time derivative of [`Self::window`], m/s³.
+    pub fn window_slope(&self, start_s: f64, window_rate_hz: f64, len: usize, band_hz: [f64; 2]) -> Vec<f64> {
+        self.resampled(start_s, window_rate_hz, len, |f| {
+            c64::new(0.0, std::f64::consts::TAU * f * taper(f, band_hz[0], band_hz[1]))
+        })
+    }
+
+    fn resampled(&self, start_s: f64, window_rate_hz: f64, len: usize, gain: impl Fn(f64) -> c64) -> Vec<f64> {
         let step = (self.rate_hz / window_rate_hz).round().max(1.0) as usize;
         let n = self.padded / step;
         let first = (start_s * window_rate_hz).floor();
@@ -102,7 +113,7 @@ impl Recording {
             .map(|k| {
                 let f = self.frequency_hz(k);
                 let phase = std::f64::consts::TAU * f * shift_s;
-                self.spectrum[k] * c64::new(phase.cos(), phase.sin()) * taper(f, band_hz[0], band_hz[1])
+                self.spectrum[k] * c64::new(phase.cos(), phase.sin()) * gain(f)
             })
             .collect();
         let signal = irfft(&spectrum, n);

@@ -162,6 +162,26 @@ impl Track {
         SensorReceptance { frequency_hz: frequency_hz.to_vec(), crossing, stock }
     }
 
+    /// Receptance at the sensor to a force on both rails at once, on a grid of `step_m` along the whole track: nodal
+    /// values of one frequency, interpolated by the shape functions.
+    pub fn both_rails_on_grid(&self, crossing: &[[c64; 2]], stock: &[[c64; 2]], step_m: f64) -> Vec<c64> {
+        let last = self.node_x_m.len() - 1;
+        let count = (last as f64 * self.step_m / step_m + 1e-9).floor() as usize + 1;
+        (0..count)
+            .map(|i| {
+                let position = i as f64 * step_m / self.step_m;
+                let e = (position as usize).min(last - 1);
+                let mut sum = ZERO;
+                for (side, nodal) in [(Side::Crossing, crossing), (Side::Stock, stock)] {
+                    let phi = beam::shear_ratio(self.element_section(side, e), self.step_m);
+                    let n = beam::shape(phi, self.step_m, position - e as f64);
+                    sum += nodal[e][0] * n[0] + nodal[e][1] * n[1] + nodal[e + 1][0] * n[2] + nodal[e + 1][1] * n[3];
+                }
+                sum
+            })
+            .collect()
+    }
+
     /// Deflection of the rail nodes `read` of one rail per unit vertical force on each of the nodes `loaded` of the
     /// same rail: `[frequency][loaded][read]`, m/N.
     pub fn rail_receptance(

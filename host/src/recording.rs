@@ -6,6 +6,7 @@ mod crossing_file;
 mod csv;
 mod error;
 pub(crate) mod files;
+mod guard;
 mod mseed;
 pub(crate) mod parquet;
 mod samples;
@@ -18,6 +19,7 @@ use std::path::Path;
 pub use check::{MAX_PASSAGES, MAX_SAMPLES, check_passage};
 pub use crossing::*;
 pub use crossing_file::check_crossing;
+pub use guard::silence_guarded_panics;
 pub use error::{PassageFault, RecordingError};
 
 /// One crossing panel recorded over a number of train passages.
@@ -79,6 +81,9 @@ pub struct Skipped {
 /// Files named `truth.*` are never opened here.
 pub fn read_site(dir: &Path) -> Result<Site, RecordingError> {
     let not_a_site = |missing| RecordingError::NotASite { path: dir.into(), missing };
+    if !dir.is_dir() {
+        return Err(RecordingError::NoDirectory { path: dir.into() });
+    }
     let crossing_file = dir.join("crossing.toml");
     if !crossing_file.is_file() {
         return Err(not_a_site("crossing.toml"));

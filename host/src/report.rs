@@ -15,6 +15,7 @@ mod plot;
 mod tables;
 pub mod text;
 mod traces;
+pub mod verification;
 
 use page::Figure;
 

@@ -9,6 +9,9 @@ pub enum RecordingError {
     #[error("cannot {doing} {path}: {source}")]
     Io { doing: &'static str, path: PathBuf, source: std::io::Error },
 
+    #[error("there is no directory {path}; check the path of the site")]
+    NoDirectory { path: PathBuf },
+
     #[error(
         "{path} is not a site directory: {missing} is missing; a site holds crossing.toml and \
          passages.parquet (or passages.csv with passages/*.csv)"

@@ -151,7 +151,7 @@ mod tests {
             let mut bytes = record(0, Samples::Int((0..40).collect()), EncodingFormat::Steim2);
             let at = at % bytes.len();
             bytes[at] ^= 1 << bit;
-            let _ = crate::recording::parquet::guarded(|| samples(&bytes, &source(Some(1.0))));
+            let _ = crate::recording::guard::guarded(|| samples(&bytes, &source(Some(1.0))));
         }
     }
 }

@@ -1,7 +1,6 @@
 //! Parquet files of a site: opening with limits, `passages.parquet` in and out.
 
 use std::fs::File;
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -18,6 +17,7 @@ use parquet::file::properties::WriterProperties;
 
 use super::check::{Gate, MAX_PASSAGES, MAX_SAMPLES};
 use super::files::write_atomic_with;
+use super::guard::guarded;
 use super::table::{Cells, Kind, check_schema};
 use super::{Crossing, Passage, PassageFault, RecordingError, Skipped};
 
@@ -106,12 +106,6 @@ pub(crate) fn for_each_batch(
     if rows == 0 { Err(RecordingError::NoRows { file: file.into() }) } else { Ok(()) }
 }
 
-/// Runs the decoder of the `parquet` crate. It indexes with lengths read from the file, so a damaged file can
-/// make it panic; here that becomes an error like any other damage. Nothing else in the project unwinds on purpose.
-pub(super) fn guarded<T>(decode: impl FnOnce() -> T) -> Result<T, String> {
-    catch_unwind(AssertUnwindSafe(decode)).map_err(|_| "its contents contradict each other".to_string())
-}
-
 fn open(file: &Path, columns: &[(&'static str, Kind)]) -> Result<ParquetRecordBatchReader, RecordingError> {
     let damaged = |reason: String| RecordingError::Damaged { file: file.into(), reason };
     let handle =
@@ -133,6 +127,9 @@ fn check_size(metadata: &ParquetMetaData) -> Result<(), String> {
         let (size, values) = (column.uncompressed_size(), column.num_values());
         if size < 0 || !(0..=MAX_DECODED_BYTES / 4).contains(&values) {
             return Err(format!("it announces {values} values in {size} bytes in one column"));
+        }
+        if column.data_page_offset() < 0 || column.compressed_size() < 0 {
+            return Err("it announces a column before its beginning".into());
         }
         bytes = bytes.saturating_add(size);
     }

@@ -12,7 +12,8 @@ use matfile::{MatFile, NumericData};
 
 use super::check::MAX_SAMPLES;
 use super::files::read_bytes;
-use super::{PassageFault, mseed, parquet::guarded};
+use super::guard::guarded;
+use super::{PassageFault, mseed};
 
 /// What the index says about a sample file.
 pub(super) struct Source<'a> {

@@ -11,14 +11,14 @@ pub(super) fn figures(passages: &[PassageResult]) -> Result<Vec<Figure>, ReportE
     let end = traces::train_length_m(passages);
     Ok(vec![
         Figure {
-            title: "Sleeper acceleration",
+            title: "Sleeper acceleration".into(),
             caption: "Every passage, low-passed at 250 Hz and aligned on its first axle. Ticks along the top: axles."
                 .into(),
             keys: vec![Key::line("one passage", BLUE)],
             svg: plot(passages, (-12.0, end + 12.0), 1)?,
         },
         Figure {
-            title: "Sleeper acceleration, first bogie",
+            title: "Sleeper acceleration, first bogie".into(),
             caption: "The same, closer.".into(),
             keys: vec![Key::line("one passage", BLUE)],
             svg: plot(passages, (-4.0, 7.0), 2)?,

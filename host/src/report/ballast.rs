@@ -55,7 +55,7 @@ pub(super) fn figure(analysis: &Analysis) -> Result<Figure, ReportError> {
         layers,
     };
     Ok(Figure {
-        title: "Ballast stiffness",
+        title: "Ballast stiffness".into(),
         caption: "Per metre of sleeper, around the crossing sleeper; constant outside ±2 sleepers.".into(),
         keys: vec![
             Key::dot("calibrated", BLUE),

@@ -25,7 +25,7 @@ pub(super) fn figures(passages: &[PassageResult], misfit: f64) -> Result<Vec<Fig
     let percent = 100.0 * misfit;
     Ok(vec![
         Figure {
-            title: "Sleeper displacement",
+            title: "Sleeper displacement".into(),
             caption: format!(
                 "Displacement from the measured acceleration against the calibrated model. Remaining misfit: \
                  {percent:.1} % of the measured displacement."
@@ -34,7 +34,7 @@ pub(super) fn figures(passages: &[PassageResult], misfit: f64) -> Result<Vec<Fig
             svg: plot(&measured, &model, (-12.0, end + 12.0), passages)?,
         },
         Figure {
-            title: "Sleeper displacement, first bogie",
+            title: "Sleeper displacement, first bogie".into(),
             caption: "The same, closer. What the model does not follow is the dynamic part that the crossing causes."
                 .into(),
             keys: keys(),

@@ -62,7 +62,7 @@ pub(super) fn figure(analysis: &Analysis) -> Result<Figure, ReportError> {
         layers,
     };
     Ok(Figure {
-        title: "Wheel\u{2013}rail contact force",
+        title: "Wheel\u{2013}rail contact force".into(),
         caption: "Crossing side, low-passed at 250 Hz, over the transition from wing rail to nose.".into(),
         keys: vec![
             Key::line("one wheelset, with its peak", GREY),

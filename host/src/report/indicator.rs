@@ -47,7 +47,7 @@ pub(super) fn figure(indicators: &Indicators) -> Result<Figure, ReportError> {
         layers,
     };
     Ok(Figure {
-        title: "Condition indicators",
+        title: "Condition indicators".into(),
         caption: "Over all wheelsets. Left of the threshold is healthy.".into(),
         keys: vec![
             Key::dot("mean", BLUE),

@@ -52,7 +52,7 @@ pub(super) fn figure(analysis: &Analysis) -> Result<Figure, ReportError> {
         layers,
     };
     Ok(Figure {
-        title: "Crossing irregularity",
+        title: "Crossing irregularity".into(),
         caption: "Vertical path of the wheel over the crossing as the wheel feels it, wavelengths from 1 m down to \
                   the limit of 250 Hz."
             .into(),

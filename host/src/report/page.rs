@@ -4,7 +4,7 @@ use plotters::style::RGBColor;
 
 /// A plot with its words.
 pub(super) struct Figure {
-    pub(super) title: &'static str,
+    pub(super) title: String,
     pub(super) caption: String,
     pub(super) keys: Vec<Key>,
     pub(super) svg: String,
@@ -51,7 +51,7 @@ impl Figure {
         format!(
             "<figure>\n<h3>{}</h3>\n<ul class=\"keys\">{keys}</ul>\n<div class=\"plot\">{}</div>\n\
              <figcaption>{}</figcaption>\n</figure>\n",
-            escape(self.title),
+            escape(&self.title),
             self.svg,
             escape(&self.caption)
         )

@@ -49,7 +49,7 @@ pub(super) fn figure(analysis: &Analysis) -> Result<Figure, ReportError> {
         layers,
     };
     Ok(Figure {
-        title: "Force peaks",
+        title: "Force peaks".into(),
         caption: "Largest contact force of each wheelset in the transition; the wheelsets of a passage side by side."
             .into(),
         keys: vec![

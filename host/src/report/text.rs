@@ -1,6 +1,7 @@
 //! Plain-text tables for the terminal.
 
 use crate::analysis::Interval;
+use crate::signal::quantile;
 
 /// Force peak of one wheelset from different sources, newtons.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -43,6 +44,39 @@ pub fn peak_table(rows: &[PeakComparison]) -> String {
         ));
     }
     text
+}
+
+/// Median and 90th percentile of the errors against the truth, one line for the host, one for the node.
+pub fn peak_summary(rows: &[PeakComparison]) -> String {
+    let line = |name: &str, value: fn(&PeakComparison) -> Option<f64>| {
+        let error = |row: &PeakComparison| Some(100.0 * (value(row)? / row.truth_n? - 1.0).abs());
+        let errors: Vec<f64> = rows.iter().filter_map(error).collect();
+        if errors.is_empty() {
+            return format!("{name}: no peaks to compare\n");
+        }
+        format!(
+            "{name}: {} peaks, error against the truth: median {:.2} %, 90th percentile {:.2} %\n",
+            errors.len(),
+            quantile(&errors, 0.5),
+            quantile(&errors, 0.9)
+        )
+    };
+    let covered = rows.iter().filter(|r| {
+        r.truth_n.is_some_and(|truth| r.host_n.lower <= truth && truth <= r.host_n.upper)
+    });
+    let known = rows.iter().filter(|r| r.truth_n.is_some()).count();
+    format!(
+        "{}{}{} of {known} true peaks lie inside the 90 % interval of the host\n",
+        line("host", |r| Some(r.host_n.value)),
+        line("node", |r| r.node_n),
+        covered.count()
+    )
+}
+
+/// Text filled up with blanks to `width` characters.
+pub(super) fn padded(text: &str, width: usize) -> String {
+    let missing = width.saturating_sub(text.chars().count());
+    format!("{text}{}", " ".repeat(missing))
 }
 
 #[cfg(test)]

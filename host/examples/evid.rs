@@ -2,7 +2,7 @@ use cpcm::ballast::BallastParameters;
 use cpcm::ballast::quasi_static::QuasiStatic;
 use cpcm::greens::{Chain, GreensFunctions, GreensSampling, Quantity};
 use cpcm::inverse::hierarchy::{SiteModel, SitePassage, kinds};
-use cpcm::inverse::{CommonProfile, Estimator, PositionGrid, Prior, ProfileGrids};
+use cpcm::inverse::{CommonProfile, Estimator, Prior, ProfileGrids};
 use cpcm::reconstruct::{Recording, SpeedSearch, Timing, estimate_speed};
 use cpcm::track::{Mesh, Track};
 use cpcm::vehicle::{AxlePattern, static_wheel_force_n};
@@ -25,8 +25,8 @@ fn main() {
     let b0 = BallastParameters { p1_n_m2: arg(2).unwrap() * 1e6, p2_n_m2: arg(3).unwrap() * 1e6, p3: arg(4).unwrap() };
     let t0: Vec<f64> = match std::env::var("TT") { Ok(f) => std::fs::read_to_string(f).unwrap().lines().map(|l| l.split_whitespace().next().unwrap().parse().unwrap()).collect(), _ => qs.align(&b0) };
     let use_n = arg(5).unwrap_or(24.0) as usize;
-    let half = 4.0;
-    let low = ProfileGrids { crossing: PositionGrid::covering(half, 0.12), stock: PositionGrid::covering(half, 0.2) };
+    let half = 4.0; let vm = cpcm::signal::mean(&speeds);
+    let low = ProfileGrids::new(half, 0.09, 0.18, vm);
     let mut passages: Vec<SitePassage> = (0..recs.len()).step_by(24 / use_n).map(|i| SitePassage { recording: &recs[i], timing: Timing { speed_m_s: speeds[i], first_axle_s: t0[i] }, static_force_n: q[i] }).collect();
     let mut prior = Prior::starting(dirn);
     if let Some(x) = arg(6) { prior.own.region_n = x; }
@@ -36,7 +36,7 @@ fn main() {
     let eval = |b: &BallastParameters, ps: &[SitePassage]| {
         let dist = b.distribution(track.sleeper_x_m.len(), track.sensor_sleeper);
         let g = GreensFunctions::new(&track, &dist, GreensSampling::low(), Quantity::Acceleration, &Chain::Corrected);
-        SiteModel { greens: &g, direction: dirn, pattern: &pattern, prior: &prior, grids: low, common_shift_sd_m: 0.05, passage_shift_sd_m: 0.02 }.posterior(ps).unwrap()
+        SiteModel { greens: &g, direction: dirn, pattern: &pattern, prior: &prior, grids: low.clone(), common_shift_sd_m: 0.05, passage_shift_sd_m: 0.02 }.posterior(ps).unwrap()
     };
     for it in 0..3 {
         let clock = Instant::now();
@@ -54,8 +54,8 @@ fn main() {
     // wide estimate
     let dist = b0.distribution(track.sleeper_x_m.len(), track.sensor_sleeper);
     let g = GreensFunctions::new(&track, &dist, GreensSampling::wide(), Quantity::Acceleration, &Chain::Corrected);
-    let wide = ProfileGrids { crossing: PositionGrid::covering(half, 0.05), stock: PositionGrid::covering(half, 0.1) };
-    let model = SiteModel { greens: &g, direction: dirn, pattern: &pattern, prior: &prior, grids: wide, common_shift_sd_m: 0.001, passage_shift_sd_m: 0.01 };
+    let wide = ProfileGrids::new(half, 0.05, 0.08, vm);
+    let model = SiteModel { greens: &g, direction: dirn, pattern: &pattern, prior: &prior, grids: wide.clone(), common_shift_sd_m: 0.001, passage_shift_sd_m: 0.01 };
     let mut all: Vec<SitePassage> = (0..recs.len()).map(|i| SitePassage { recording: &recs[i], timing: Timing { speed_m_s: speeds[i], first_axle_s: t0[i] }, static_force_n: q[i] }).collect();
     if passages.len() == 24 { all = passages.clone(); }
     let mut profile = CommonProfile::zero(wide);

@@ -31,11 +31,11 @@ fn main() {
                 for (side, name) in [(Side::Crossing, "crossing"), (Side::Stock, "stock")] {
                     let st = constant_force_response(&g, side, &path, n);
                     let k = kernel(&g, side, &path, 4.0, n);
-                    let t = truth.wheels.iter().find(|x| x.passage_id == site.passages[i].passage_id && x.wheelset as usize == w && format!("{:?}", x.side).to_lowercase() == name).unwrap();
+                    let t = truth.wheels.iter().find(|x| x.passage_id == site.passages[i].passage_id && x.wheelset == w && format!("{:?}", x.side).to_lowercase() == name).unwrap();
                     let first = *path.samples_within(4.0, s.rate_hz).start();
                     // low-pass the true force to the sampling's Nyquist: sample on a fine time axis
                     let fs = 8000.0; let nf = 4096usize;
-                    let fine: Vec<f64> = (0..nf).map(|j| { let tau = (j as f64 - 2048.0) / fs; let x = dirn * v * tau; let p = ((x - t.position_m[0] as f64) / 0.01).clamp(0.0, (t.position_m.len() - 1) as f64); let a = (p as usize).min(t.position_m.len() - 2); let f = t.contact_force_n[a] as f64 * (1.0 - (p - a as f64)) + t.contact_force_n[a + 1] as f64 * (p - a as f64); let e = ((4.0 - (v * tau).abs()) / 0.3).clamp(0.0, 1.0); (f - q) * e }).collect();
+                    let fine: Vec<f64> = (0..nf).map(|j| { let tau = (j as f64 - 2048.0) / fs; let x = dirn * v * tau; let p = ((x - t.position_m[0]) / 0.01).clamp(0.0, (t.position_m.len() - 1) as f64); let a = (p as usize).min(t.position_m.len() - 2); let f = t.contact_force_n[a] * (1.0 - (p - a as f64)) + t.contact_force_n[a + 1] * (p - a as f64); let e = ((4.0 - (v * tau).abs()) / 0.3).clamp(0.0, 1.0); (f - q) * e }).collect();
                     let lp = cpcm::signal::brick_band(&fine, fs, 0.0, s.rate_hz / 2.0 * 0.98);
                     for kk in 0..n { m[kk] += q * st[kk]; }
                     for j in 0..k.ncols() {

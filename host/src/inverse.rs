@@ -12,4 +12,4 @@ mod profile;
 
 pub use estimator::{Estimator, GroupGeometry, InverseError};
 pub use prior::{Prior, Spread};
-pub use profile::{CommonProfile, PositionGrid, ProfileGrids};
+pub use profile::{CommonProfile, PositionGrid, ProfileGrids, WheelClass};

@@ -5,7 +5,7 @@ use faer::linalg::solvers::Llt;
 use faer::linalg::solvers::Solve as _;
 use faer::{Accum, Mat, MatRef, Par};
 
-use super::profile::{CommonProfile, ProfileGrids};
+use super::profile::{CommonProfile, WheelClass};
 use super::Prior;
 use crate::greens::GreensFunctions;
 use crate::greens::moving::{WheelPath, constant_force_response, kernel};
@@ -118,7 +118,11 @@ impl Estimator {
         let axles: Vec<AxleModel> = geometry
             .axle_offset_m
             .iter()
-            .map(|o| AxleModel::new(&context, path(*o), &mut covariance, &mut profile_response))
+            .enumerate()
+            .map(|(i, o)| {
+                let class = WheelClass::new(geometry.speed_m_s, mean.grids.mean_speed_m_s, i);
+                AxleModel::new(&context, path(*o), class, &mut covariance, &mut profile_response)
+            })
             .collect::<Option<_>>()
             .ok_or_else(bad)?;
         let expected_m_s2 = expected_window(greens, geometry, &path, &axles, len);
@@ -210,7 +214,13 @@ struct Context<'a> {
 
 impl AxleModel {
     /// Adds the axle's share to the covariance of the window and to its response to the common profile.
-    fn new(context: &Context, path: WheelPath, covariance: &mut Mat<f64>, profile_response: &mut Mat<f64>) -> Option<Self> {
+    fn new(
+        context: &Context,
+        path: WheelPath,
+        class: WheelClass,
+        covariance: &mut Mat<f64>,
+        profile_response: &mut Mat<f64>,
+    ) -> Option<Self> {
         let Context { greens, static_force_n, prior, mean } = *context;
         let (rate, len) = (greens.sampling.rate_hz, covariance.nrows());
         let range = path.samples_within(prior.half_m, rate);
@@ -229,9 +239,13 @@ impl AxleModel {
         let mut add_side = |side: Side, root: &Mat<f64>| {
             let matrix = kernel(greens, side, &path, prior.half_m, len);
             for (j, x) in positions.iter().enumerate() {
-                add_scaled(&mut expected_m_s2, matrix.col_as_slice(j), mean.at(side, *x));
+                add_scaled(&mut expected_m_s2, matrix.col_as_slice(j), mean.at(side, *x, class));
             }
-            add_profile_response(profile_response, &matrix, &positions, &mean.grids, side);
+            for (j, x) in positions.iter().enumerate() {
+                for (entry, weight) in mean.grids.entries(side, *x, class) {
+                    add_scaled(profile_response.col_as_slice_mut(entry), matrix.col_as_slice(j), weight);
+                }
+            }
             let shaped = &matrix * root;
             add_square(covariance, &shaped);
             shaped
@@ -239,7 +253,7 @@ impl AxleModel {
         let shaped = add_side(Side::Crossing, &root_n);
         add_side(Side::Stock, &stock_root_n);
         add_outer(covariance, &static_m_s2, prior.load_sd.powi(2));
-        let mean_n = positions.iter().map(|x| mean.at(Side::Crossing, *x)).collect();
+        let mean_n = positions.iter().map(|x| mean.at(Side::Crossing, *x, class)).collect();
         Some(Self { path, first_sample: *range.start(), root_n, shaped, static_m_s2, expected_m_s2, mean_n })
     }
 
@@ -268,17 +282,6 @@ fn add_outer(covariance: &mut Mat<f64>, v: &[f64], scale: f64) {
     for j in 0..v.len() {
         for i in j..v.len() {
             covariance[(i, j)] += scale * v[i] * v[j];
-        }
-    }
-}
-
-/// Adds kernel × linear interpolation from the profile grid to the wheel's positions.
-fn add_profile_response(out: &mut Mat<f64>, kernel: &Mat<f64>, positions: &[f64], grids: &ProfileGrids, side: Side) {
-    let (grid, first) = grids.part(side);
-    for (j, x) in positions.iter().enumerate() {
-        if let Some((i, part)) = grid.locate(*x) {
-            add_scaled(out.col_as_slice_mut(first + i), kernel.col_as_slice(j), 1.0 - part);
-            add_scaled(out.col_as_slice_mut(first + i + 1), kernel.col_as_slice(j), part);
         }
     }
 }

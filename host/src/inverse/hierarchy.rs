@@ -29,7 +29,7 @@ pub struct SitePassage<'a> {
 }
 
 /// Model of a site with given ballast.
-#[derive(Clone, Copy)]
+#[derive(Clone)]
 pub struct SiteModel<'a> {
     /// Green's functions of the calibrated track.
     pub greens: &'a GreensFunctions,
@@ -132,7 +132,7 @@ impl SiteModel<'_> {
         };
         SitePosterior {
             log_evidence,
-            profile: CommonProfile { grids: self.grids, deviation_n: (0..m - 1).map(|i| mean[(i, 0)]).collect() },
+            profile: CommonProfile { grids: self.grids.clone(), deviation_n: (0..m - 1).map(|i| mean[(i, 0)]).collect() },
             covariance,
             common_shift_m,
             shift_m: statistics.iter().map(|s| common_shift_m + own(s)).collect(),
@@ -146,7 +146,7 @@ impl SiteModel<'_> {
         let mut information = Mat::zeros(m + 1, m + 1);
         let mut vector = Mat::zeros(m + 1, 1);
         let mut log_likelihood = 0.0;
-        let zero = CommonProfile::zero(self.grids);
+        let zero = CommonProfile::zero(self.grids.clone());
         for kind in kinds(self.pattern) {
             let estimator = Estimator::new(self.greens, &self.geometry(&kind.offsets, passage), self.prior, &zero)?;
             for group in &kind.groups {

@@ -2,4 +2,3 @@
 
 pub mod program;
 pub mod sample;
-pub mod tolerance;

@@ -8,5 +8,9 @@ extern crate std;
 pub mod adxl357;
 pub mod checksum;
 pub mod frame;
+pub mod journal;
+#[cfg(test)]
+mod nor_mock;
 pub mod package;
 pub mod record;
+pub mod slots;

@@ -6,7 +6,9 @@
 extern crate std;
 
 pub mod adxl357;
+pub mod bank;
 pub mod checksum;
+pub mod fit;
 pub mod frame;
 pub mod journal;
 #[cfg(test)]

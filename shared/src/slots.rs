@@ -202,7 +202,7 @@ mod tests {
     #[test]
     fn property_garbage_flash_mounts_as_nothing() {
         let mut nor = Nor::new(2);
-        nor.bytes.iter_mut().enumerate().for_each(|(i, byte)| *byte = (i * 7919 >> 3) as u8);
+        nor.bytes.iter_mut().enumerate().for_each(|(i, byte)| *byte = ((i * 7919) >> 3) as u8);
         assert_eq!(mounted(&mut nor).value(), None);
         block_on(mounted(&mut nor).store(&mut nor, value(5))).unwrap();
         assert_eq!(mounted(&mut nor).value(), Some(&value(5)));

@@ -248,13 +248,17 @@ impl Banks {
         Ok(done)
     }
 
-    /// Checks the uploaded package as it is in flash and puts it in force.
+    /// Checks the uploaded package, whose CRC-32 is `crc`, as it is in flash and puts it in force. Once it is, a
+    /// repetition has no effect.
     pub async fn commit<F: NorFlash>(
         &mut self,
         flash: &mut F,
+        crc: u32,
         scratch: &mut [u8; MAX_HEADER_LEN],
     ) -> Result<Active, Refusal> {
-        let upload = self.upload.ok_or(Refusal::NotBegun)?;
+        let Some(upload) = self.upload.filter(|upload| upload.crc == crc) else {
+            return self.active.filter(|active| active.crc == crc).ok_or(Refusal::NotBegun);
+        };
         if upload.received < upload.length {
             return Err(Refusal::Incomplete { received: upload.received, length: upload.length });
         }
@@ -391,7 +395,7 @@ mod tests {
         for (index, chunk) in file.chunks(CHUNK).enumerate() {
             block_on(banks.chunk(nor, (index * CHUNK) as u32, chunk, &mut scratch))?;
         }
-        block_on(banks.commit(nor, &mut scratch))
+        block_on(banks.commit(nor, crc32(file), &mut scratch))
     }
 
     fn with_payload(site: &str, payload: u32) -> Vec<u8> {
@@ -465,7 +469,7 @@ mod tests {
         banks.begin(good.len() as u32, crc32(&good)).unwrap();
         block_on(banks.chunk(&mut nor, 0, &damaged, &mut scratch)).unwrap();
         let crc = Refusal::Crc { announced: crc32(&good), found: crc32(&damaged) };
-        assert_eq!(block_on(banks.commit(&mut nor, &mut scratch)), Err(crc));
+        assert_eq!(block_on(banks.commit(&mut nor, crc32(&good), &mut scratch)), Err(crc));
         assert_eq!(site(&mut nor).as_deref(), Some("old"));
     }
 
@@ -485,15 +489,18 @@ mod tests {
                 let skipped = block_on(banks.chunk(&mut nor, progress.received + 1, &[], &mut scratch));
                 assert_eq!(skipped, Err(gap));
                 assert!(matches!(
-                    block_on(banks.commit(&mut nor, &mut scratch)),
+                    block_on(banks.commit(&mut nor, crc32(&file), &mut scratch)),
                     Err(Refusal::Incomplete { .. })
                 ));
             }
             // The same upload again goes on where it was.
             assert_eq!(banks.begin(file.len() as u32, crc32(&file)), Ok(progress));
         }
-        block_on(banks.commit(&mut nor, &mut scratch)).unwrap();
+        let active = block_on(banks.commit(&mut nor, crc32(&file), &mut scratch)).unwrap();
         assert_eq!(site(&mut nor).as_deref(), Some("x"));
+        // An answer that was lost is asked for again.
+        assert_eq!(block_on(banks.commit(&mut nor, crc32(&file), &mut scratch)), Ok(active));
+        assert_eq!(block_on(banks.commit(&mut nor, 1, &mut scratch)), Err(Refusal::NotBegun));
     }
 
     #[test]

@@ -1,0 +1,137 @@
+//! Everything that the node keeps in its NOR flash.
+
+use core::ops::Range;
+
+use embedded_storage_async::nor_flash::MultiwriteNorFlash;
+
+use crate::bank::{Active, Banks, Refusal, Regions};
+use crate::clock::Clock;
+use crate::fit::Expected;
+use crate::journal::{AppendError, Journal, SEGMENT};
+use crate::message::Kernel;
+use crate::package::{Header, MAX_HEADER_LEN};
+use crate::record::Record;
+
+/// What is where in the flash, bytes from its beginning. Everything begins and ends at 4 KiB sectors.
+#[derive(Clone, Debug)]
+pub struct Map {
+    /// See [`crate::clock`]; at least two sectors.
+    pub clock: Range<u32>,
+    /// See [`crate::journal`]; whole segments.
+    pub journal: Range<u32>,
+    /// Length of a journal segment.
+    pub segment: u32,
+    /// See [`crate::bank`].
+    pub banks: Regions,
+}
+
+/// Size of the node's flash: 64 Mbit.
+pub const FLASH_LEN: u32 = 8 << 20;
+
+impl Map {
+    /// The node's map:
+    ///
+    /// ```text
+    /// 0x00_0000   32 KiB     clock
+    /// 0x00_8000   32 KiB     marker of the kernel banks
+    /// 0x01_0000   1984 KiB   journal, 62 segments: about 3600 records of 24 wheelsets
+    /// 0x20_0000   3 MiB      kernel bank 0
+    /// 0x50_0000   3 MiB      kernel bank 1
+    /// ```
+    pub const fn node() -> Self {
+        Map {
+            clock: 0x00_0000..0x00_8000,
+            journal: 0x01_0000..0x20_0000,
+            segment: SEGMENT,
+            banks: Regions {
+                marker: 0x00_8000..0x01_0000,
+                banks: [0x20_0000..0x50_0000, 0x50_0000..FLASH_LEN],
+            },
+        }
+    }
+}
+
+/// The flash and what is in it.
+pub struct Storage<F> {
+    pub(crate) flash: F,
+    pub(crate) journal: Journal,
+    pub(crate) banks: Banks,
+    pub(crate) clock: Clock,
+    /// For a header or a record, whichever is at hand.
+    pub(crate) scratch: [u8; MAX_HEADER_LEN],
+    errors: u32,
+}
+
+impl<F: MultiwriteNorFlash> Storage<F> {
+    /// Reads the flash and counts the start-up. The flash must take single bytes (`WRITE_SIZE` 1).
+    pub async fn mount(
+        mut flash: F,
+        map: Map,
+        expected: Expected,
+        sample_period_us: u32,
+    ) -> Result<Self, F::Error> {
+        let mut scratch = [0; MAX_HEADER_LEN];
+        let clock = Clock::mount(&mut flash, map.clock, sample_period_us).await?;
+        let banks = Banks::mount(&mut flash, map.banks, expected, &mut scratch).await?;
+        let journal = Journal::mount(&mut flash, map.journal, map.segment, &mut scratch).await;
+        Ok(Storage { flash, journal, banks, clock, scratch, errors: 0 })
+    }
+
+    /// The journal.
+    pub fn journal(&self) -> &Journal {
+        &self.journal
+    }
+
+    /// Kernel id of the package in force.
+    pub fn kernel_id(&self) -> Option<u32> {
+        self.banks.active().map(|active| active.kernel_id)
+    }
+
+    /// Failures since start-up.
+    pub fn errors(&self) -> u32 {
+        self.errors.saturating_add(self.journal.errors())
+    }
+
+    /// Stores a record; when this returns `Ok` it survives a power cut.
+    pub async fn append(&mut self, record: &Record) -> Result<(), AppendError> {
+        self.journal.append(&mut self.flash, record, &mut self.scratch).await
+    }
+
+    /// The package in force and its header.
+    pub async fn kernel_header(&mut self) -> Result<(Active, Header), Refusal> {
+        let header = self.banks.header(&mut self.flash, &mut self.scratch).await;
+        self.count(header)
+    }
+
+    /// Reads from a package, `offset` bytes from the beginning of the file.
+    pub async fn kernel_read(
+        &mut self,
+        package: Active,
+        offset: u32,
+        bytes: &mut [u8],
+    ) -> Result<(), Refusal> {
+        let outcome = self.banks.read(&mut self.flash, package, offset, bytes).await;
+        self.count(outcome)
+    }
+
+    /// What to tell of the package in force.
+    pub async fn kernel(&mut self) -> Option<Kernel> {
+        let active = self.banks.active()?;
+        let found = self.banks.found(&mut self.flash, &mut self.scratch).await;
+        let found = self.count(found).ok()?;
+        let Active { length, crc, .. } = active;
+        Some(Kernel { id: found.id, crc, length, site: found.site, train: found.train })
+    }
+
+    /// Gives the flash back.
+    pub fn into_flash(self) -> F {
+        self.flash
+    }
+
+    pub(crate) fn count<T>(&mut self, outcome: Result<T, Refusal>) -> Result<T, Refusal> {
+        if let Err(Refusal::Flash { .. }) = outcome {
+            self.errors = self.errors.saturating_add(1);
+        }
+        outcome
+    }
+}

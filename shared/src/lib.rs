@@ -1,6 +1,20 @@
 //! Everything the node decides or says.
+//!
+//! In data order: [`sample`] codes are filtered and decimated ([`decimate`]), a train is noticed ([`detect`]) and
+//! recorded ([`passage`]), all by [`sampler`]; its speed and axles are found ([`timing`]), the windows around the
+//! axle groups are cut out ([`resample`], [`window`]), the operators of the kernel [`package`] are applied
+//! ([`operator`]) and the force [`peaks`] are picked, all by [`evaluate`]; what remains is a [`record`].
+//!
+//! The arithmetic is plain f32 in a fixed order, so the same samples give the same bits on the PC and on the MCU.
 #![no_std]
 #![forbid(unsafe_code)]
 
+pub mod decimate;
+pub mod detect;
+pub mod kaiser;
+pub mod pace;
 pub mod package;
+pub mod passage;
 pub mod record;
+pub mod sample;
+pub mod sampler;

@@ -1,0 +1,1 @@
+//! Alignment by the templates of the package.

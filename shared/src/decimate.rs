@@ -26,28 +26,7 @@ pub const STOP_HZ: f64 = 500.0;
 const DESIGN_DB: f64 = 61.8;
 
 /// The filter, in the order in which samples arrive (it is symmetric); its sum is 1.
-pub const TAPS: [f32; TAPS_LEN] = design();
-
-const fn design() -> [f32; TAPS_LEN] {
-    let middle = DELAY_SAMPLES as f64;
-    let cutoff = (PASS_HZ + STOP_HZ) / RAW_RATE_HZ as f64; // 2 × the middle of the transition, per raw sample
-    let mut exact = [0.0; TAPS_LEN];
-    let mut sum = 0.0;
-    let mut k = 0;
-    while k < TAPS_LEN {
-        let n = k as f64 - middle;
-        exact[k] = kaiser::sinc(cutoff * n) * kaiser::window(n / (middle + 1.0), kaiser::beta(DESIGN_DB));
-        sum += exact[k];
-        k += 1;
-    }
-    let mut taps = [0.0; TAPS_LEN];
-    k = 0;
-    while k < TAPS_LEN {
-        taps[k] = (exact[k] / sum) as f32;
-        k += 1;
-    }
-    taps
-}
+pub const TAPS: [f32; TAPS_LEN] = kaiser::low_pass(0.5 * (PASS_HZ + STOP_HZ) / RAW_RATE_HZ as f64, DESIGN_DB);
 
 /// State of the filter.
 #[derive(Clone, Debug)]

@@ -20,6 +20,29 @@ pub const fn window(x: f64, beta: f64) -> f64 {
     bessel_i0_of_square(beta * beta * inside) / bessel_i0_of_square(beta * beta)
 }
 
+/// Taps of a linear-phase low-pass, symmetric, with sum 1. `N` is odd. `cutoff` is the middle of the transition in
+/// cycles per sample; the transition is (`attenuation_db` − 7.95) / (14.36 (N − 1)) cycles per sample wide (Kaiser's
+/// formula).
+pub const fn low_pass<const N: usize>(cutoff: f64, attenuation_db: f64) -> [f32; N] {
+    let middle = (N / 2) as f64;
+    let mut exact = [0.0; N];
+    let mut sum = 0.0;
+    let mut k = 0;
+    while k < N {
+        let n = k as f64 - middle;
+        exact[k] = sinc(2.0 * cutoff * n) * window(n / (middle + 1.0), beta(attenuation_db));
+        sum += exact[k];
+        k += 1;
+    }
+    let mut taps = [0.0; N];
+    k = 0;
+    while k < N {
+        taps[k] = (exact[k] / sum) as f32;
+        k += 1;
+    }
+    taps
+}
+
 /// sin(πx) / (πx).
 pub const fn sinc(x: f64) -> f64 {
     if x == 0.0 { 1.0 } else { sin_pi(x) / (PI * x) }

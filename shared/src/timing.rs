@@ -25,8 +25,8 @@ pub const QUIET_SAMPLES: usize = 300;
 /// distance that is 0.5 m different gives 0.22 and more, an axle distance that is 0.3 m different 0.12 to 0.19.
 pub const MAX_SCATTER_M: f32 = 0.12;
 /// Least agreement of the signal with the pattern (see [`TrainMatch::coherence`]).
-/// Real trains of the pattern reach 0.76 and more, most other patterns 0.25 to 0.65.
-pub const MIN_COHERENCE: f32 = 0.65;
+/// Real trains of the pattern reach 0.69 and more, most other patterns 0.25 to 0.5; the rest shows in the axles.
+pub const MIN_COHERENCE: f32 = 0.6;
 
 /// How a passage compares with an axle pattern.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -12,6 +12,7 @@
 pub mod decimate;
 pub mod detect;
 pub mod kaiser;
+pub mod operator;
 pub mod pace;
 pub mod package;
 pub mod passage;
@@ -21,3 +22,4 @@ pub mod resample;
 pub mod sample;
 pub mod sampler;
 pub mod timing;
+pub mod window;

@@ -11,6 +11,7 @@
 
 pub mod decimate;
 pub mod detect;
+pub mod evaluate;
 pub mod kaiser;
 pub mod operator;
 pub mod pace;

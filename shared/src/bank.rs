@@ -17,9 +17,10 @@
 use core::ops::Range;
 
 use embedded_storage_async::nor_flash::NorFlash;
+use heapless::String;
 
 use crate::checksum::Running;
-use crate::fit::{self, Expected, Found, Misfit};
+use crate::package::check::{PackageError, header_len};
 use crate::package::{Header, MAX_HEADER_LEN, PREFIX_LEN};
 use crate::slots::{Slots, VALUE};
 
@@ -64,6 +65,20 @@ impl Active {
         })
     }
 }
+
+/// What the header of a package tells.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Found {
+    /// CRC-32 of the header: the `kernel_id` of records.
+    pub id: u32,
+    /// Site name.
+    pub site: String<48>,
+    /// Name of the train type.
+    pub train: String<16>,
+}
+
+/// Bytes for prefix and header.
+pub const SCRATCH: usize = PREFIX_LEN + MAX_HEADER_LEN;
 
 /// How far an upload is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -119,7 +134,14 @@ pub enum Refusal {
         found: u32,
     },
     /// The header is not one that this node can use.
-    Header(Misfit),
+    Header(PackageError),
+    /// Prefix, header and payload together are not as long as the package.
+    Length {
+        /// Of the package, bytes.
+        package: u32,
+        /// Of its parts as the header tells, bytes.
+        parts: u64,
+    },
     /// The flash failed at this offset from the start of the bank.
     Flash {
         /// Bytes.
@@ -131,7 +153,6 @@ pub enum Refusal {
 #[derive(Clone, Debug)]
 pub struct Banks {
     regions: Regions,
-    expected: Expected,
     marker: Slots,
     active: Option<Active>,
     upload: Option<Progress>,
@@ -139,16 +160,14 @@ pub struct Banks {
 
 impl Banks {
     /// Looks for the package in force. A marker whose bank does not hold the header it names puts none in force.
-    /// `scratch`: [`MAX_HEADER_LEN`] bytes.
     pub async fn mount<F: NorFlash>(
         flash: &mut F,
         regions: Regions,
-        expected: Expected,
-        scratch: &mut [u8; MAX_HEADER_LEN],
+        scratch: &mut [u8; SCRATCH],
     ) -> Result<Self, F::Error> {
         let marker = Slots::mount(flash, regions.marker.clone()).await?;
         let marked = marker.value().and_then(Active::from_value);
-        let mut banks = Banks { regions, expected, marker, active: marked, upload: None };
+        let mut banks = Banks { regions, marker, active: marked, upload: None };
         let found = banks.found(flash, scratch).await;
         banks.active = marked.filter(|marked| found.is_ok_and(|found| found.id == marked.kernel_id));
         Ok(banks)
@@ -174,22 +193,22 @@ impl Banks {
     pub async fn found<F: NorFlash>(
         &self,
         flash: &mut F,
-        scratch: &mut [u8; MAX_HEADER_LEN],
+        scratch: &mut [u8; SCRATCH],
     ) -> Result<Found, Refusal> {
         let active = self.active.ok_or(Refusal::NoPackage)?;
         let bytes = self.header_bytes(flash, active.bank, scratch).await?;
-        fit::check(bytes, active.length, &self.expected).map_err(Refusal::Header)
+        check(bytes, active.length)
     }
 
     /// The header of the package in force, and the package to read matrices from.
     pub async fn header<F: NorFlash>(
         &self,
         flash: &mut F,
-        scratch: &mut [u8; MAX_HEADER_LEN],
+        scratch: &mut [u8; SCRATCH],
     ) -> Result<(Active, Header), Refusal> {
         let active = self.active.ok_or(Refusal::NoPackage)?;
         let bytes = self.header_bytes(flash, active.bank, scratch).await?;
-        let (_, header) = fit::decode(bytes).map_err(Refusal::Header)?;
+        let (header, _) = Header::decode(bytes).map_err(Refusal::Header)?;
         Ok((active, header))
     }
 
@@ -226,7 +245,7 @@ impl Banks {
         flash: &mut F,
         offset: u32,
         bytes: &[u8],
-        scratch: &mut [u8; MAX_HEADER_LEN],
+        scratch: &mut [u8; SCRATCH],
     ) -> Result<Progress, Refusal> {
         let upload = self.upload.ok_or(Refusal::NotBegun)?;
         let end = offset.saturating_add(bytes.len() as u32);
@@ -254,7 +273,7 @@ impl Banks {
         &mut self,
         flash: &mut F,
         crc: u32,
-        scratch: &mut [u8; MAX_HEADER_LEN],
+        scratch: &mut [u8; SCRATCH],
     ) -> Result<Active, Refusal> {
         let Some(upload) = self.upload.filter(|upload| upload.crc == crc) else {
             return self.active.filter(|active| active.crc == crc).ok_or(Refusal::NotBegun);
@@ -269,7 +288,7 @@ impl Banks {
         }
         let bank = self.inactive();
         let bytes = self.header_bytes(flash, bank, scratch).await?;
-        let found = fit::check(bytes, upload.length, &self.expected).map_err(Refusal::Header)?;
+        let found = check(bytes, upload.length)?;
         let active = Active { bank, length: upload.length, crc: upload.crc, kernel_id: found.id };
         self.marker.store(flash, active.to_value()).await.map_err(|_| Refusal::Flash { offset: 0 })?;
         self.active = Some(active);
@@ -314,7 +333,7 @@ impl Banks {
         flash: &mut F,
         before: u32,
         upload: Progress,
-        scratch: &mut [u8; MAX_HEADER_LEN],
+        scratch: &mut [u8; SCRATCH],
     ) -> Result<(), Refusal> {
         let mut prefix = [0; PREFIX_LEN];
         if upload.received < PREFIX_LEN as u32 {
@@ -322,10 +341,10 @@ impl Banks {
         }
         let bank = self.inactive();
         flash.read(self.start(bank), &mut prefix).await.map_err(|_| Refusal::Flash { offset: 0 })?;
-        let end = PREFIX_LEN as u32 + fit::header_length(&prefix).map_err(Refusal::Header)? as u32;
+        let end = (PREFIX_LEN + header_len(&prefix).map_err(Refusal::Header)?) as u32;
         if before < end && end <= upload.received {
             let bytes = self.header_bytes(flash, bank, scratch).await?;
-            fit::check(bytes, upload.length, &self.expected).map_err(Refusal::Header)?;
+            check(bytes, upload.length)?;
         }
         Ok(())
     }
@@ -334,14 +353,14 @@ impl Banks {
         &self,
         flash: &mut F,
         bank: u8,
-        scratch: &'s mut [u8; MAX_HEADER_LEN],
+        scratch: &'s mut [u8; SCRATCH],
     ) -> Result<&'s [u8], Refusal> {
         let failed = |_| Refusal::Flash { offset: 0 };
         let mut prefix = [0; PREFIX_LEN];
         flash.read(self.start(bank), &mut prefix).await.map_err(failed)?;
-        let header_length = fit::header_length(&prefix).map_err(Refusal::Header)?;
-        let bytes = scratch.get_mut(..header_length).unwrap_or_default();
-        flash.read(self.start(bank) + PREFIX_LEN as u32, bytes).await.map_err(failed)?;
+        let end = PREFIX_LEN + header_len(&prefix).map_err(Refusal::Header)?;
+        let bytes = scratch.get_mut(..end).unwrap_or_default();
+        flash.read(self.start(bank), bytes).await.map_err(failed)?;
         Ok(bytes)
     }
 
@@ -349,7 +368,7 @@ impl Banks {
         &self,
         flash: &mut F,
         length: u32,
-        scratch: &mut [u8; MAX_HEADER_LEN],
+        scratch: &mut [u8; SCRATCH],
     ) -> Result<u32, Refusal> {
         /// Small enough that others are not kept waiting: 512 bytes take 0.3 ms at 16 MHz.
         const PIECE: u32 = 512;
@@ -363,16 +382,79 @@ impl Banks {
     }
 }
 
+/// Checks prefix and header of a package of `package` bytes in all.
+fn check(bytes: &[u8], package: u32) -> Result<Found, Refusal> {
+    let (header, id) = Header::decode(bytes).map_err(Refusal::Header)?;
+    let parts = bytes.len() as u64 + u64::from(header.payload_len);
+    if parts != u64::from(package) {
+        return Err(Refusal::Length { package, parts });
+    }
+    Ok(Found { id, site: header.provenance.site, train: header.train.name })
+}
+
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
     use crate::checksum::crc32;
-    use crate::fit::tests::{EXPECTED, header, package};
     use crate::nor_mock::{Nor, SECTOR};
+    use crate::package::check::SensorField;
+    use crate::package::{Bin, Block, FORMAT, Group, Operator, Provenance, Sensor, Train};
+    use crate::sample::{FULL_SCALE_CODE, M_S2_PER_CODE};
     use embassy_futures::block_on;
     use std::vec::Vec;
 
     const CHUNK: usize = 100;
+
+    /// A small header: one bin, one operator, two axles; `payload` bytes of matrices.
+    pub(crate) fn header(site: &str) -> Header {
+        let block = |offset, rows, cols| Block { offset, rows, cols, crc: 0 };
+        let operator = Operator {
+            before: 2,
+            project: block(0, 2, 8),
+            expand: block(64, 6, 2),
+            offset_n: block(112, 6, 1),
+            half_width_n: block(136, 6, 1),
+            template_m_s2: block(160, 1, 8),
+        };
+        Header {
+            format: FORMAT,
+            provenance: Provenance {
+                site: site.try_into().unwrap(),
+                model_hash: 7,
+                calibrated_on: String::new(),
+                written_by: "test".try_into().unwrap(),
+            },
+            sensor: Sensor {
+                sample_rate_hz: 4000.0,
+                decimation: 4,
+                m_s2_per_code: M_S2_PER_CODE,
+                range_m_s2: FULL_SCALE_CODE as f32 * M_S2_PER_CODE,
+            },
+            direction: 1,
+            train: Train {
+                name: "X2".try_into().unwrap(),
+                axle_offset_m: heapless::Vec::from_slice(&[0.0, 2.9]).unwrap(),
+                static_force_n: 76_000.0,
+                groups: heapless::Vec::from_slice(&[Group { first_axle: 0, axles: 2, operator: 0 }]).unwrap(),
+            },
+            grid_first_m: -0.9,
+            grid_step_m: 0.01,
+            grid_len: 3,
+            bins: heapless::Vec::from_slice(&[Bin {
+                speed_m_s: 40.0,
+                operators: heapless::Vec::from_slice(&[operator]).unwrap(),
+            }])
+            .unwrap(),
+            payload_len: 192,
+        }
+    }
+
+    /// The file of `header` with a payload that counts.
+    pub(crate) fn package(header: &Header) -> Vec<u8> {
+        let mut encoded = [0; SCRATCH];
+        let length = header.encode(&mut encoded).unwrap();
+        encoded[..length].iter().copied().chain((0..header.payload_len).map(|k| k as u8)).collect()
+    }
 
     fn regions() -> Regions {
         let sector = SECTOR as u32;
@@ -380,17 +462,17 @@ mod tests {
     }
 
     fn mounted(nor: &mut Nor) -> Banks {
-        block_on(Banks::mount(nor, regions(), EXPECTED, &mut [0; MAX_HEADER_LEN])).unwrap()
+        block_on(Banks::mount(nor, regions(), &mut [0; SCRATCH])).unwrap()
     }
 
     fn site(nor: &mut Nor) -> Option<std::string::String> {
         let banks = mounted(nor);
-        let found = block_on(banks.found(nor, &mut [0; MAX_HEADER_LEN])).ok()?;
+        let found = block_on(banks.found(nor, &mut [0; SCRATCH])).ok()?;
         Some(found.site.as_str().into())
     }
 
     fn upload(nor: &mut Nor, file: &[u8]) -> Result<Active, Refusal> {
-        let (mut banks, mut scratch) = (mounted(nor), [0; MAX_HEADER_LEN]);
+        let (mut banks, mut scratch) = (mounted(nor), [0; SCRATCH]);
         banks.begin(file.len() as u32, crc32(file))?;
         for (index, chunk) in file.chunks(CHUNK).enumerate() {
             block_on(banks.chunk(nor, (index * CHUNK) as u32, chunk, &mut scratch))?;
@@ -460,12 +542,13 @@ mod tests {
             upload(&mut nor, &good[..good.len() - 1]).unwrap_err(),
         ];
         assert_eq!(refusals[0], Refusal::TooLong { length: too_long.len() as u32, max: capacity });
-        let rate = Misfit::SampleRate { found_hz: 2000.0, expected_hz: 4000.0 };
+        let rate = PackageError::Sensor { field: SensorField::SampleRate, package: 2000.0, node: 4000.0 };
         assert_eq!(refusals[1], Refusal::Header(rate));
-        assert_eq!(refusals[2], Refusal::Header(Misfit::Magic(*b"not a pa")));
-        assert!(matches!(refusals[3], Refusal::Header(Misfit::Length { .. })));
+        assert_eq!(refusals[2], Refusal::Header(PackageError::Magic));
+        let length = good.len() as u32 - 1;
+        assert_eq!(refusals[3], Refusal::Length { package: length, parts: u64::from(length) + 1 });
         // Announced one thing, sent another.
-        let (mut banks, mut scratch) = (mounted(&mut nor), [0; MAX_HEADER_LEN]);
+        let (mut banks, mut scratch) = (mounted(&mut nor), [0; SCRATCH]);
         banks.begin(good.len() as u32, crc32(&good)).unwrap();
         block_on(banks.chunk(&mut nor, 0, &damaged, &mut scratch)).unwrap();
         let crc = Refusal::Crc { announced: crc32(&good), found: crc32(&damaged) };
@@ -475,7 +558,7 @@ mod tests {
 
     #[test]
     fn property_chunks_may_repeat_and_overlap_but_leave_no_gap() {
-        let (mut nor, mut scratch) = (Nor::new(6), [0; MAX_HEADER_LEN]);
+        let (mut nor, mut scratch) = (Nor::new(6), [0; SCRATCH]);
         let file = with_payload("x", 5000);
         let mut banks = mounted(&mut nor);
         assert_eq!(block_on(banks.chunk(&mut nor, 0, &file, &mut scratch)), Err(Refusal::NotBegun));

@@ -11,7 +11,10 @@ use core::ops::Range;
 use embedded_storage_async::nor_flash::NorFlash;
 use serde::{Deserialize, Serialize};
 
+use crate::sample::RAW_RATE_HZ;
 use crate::slots::{Slots, VALUE};
+
+const SAMPLE_PERIOD_US: i128 = 1_000_000 / RAW_RATE_HZ as i128;
 
 /// Shortest span between two bindings that gives a drift, µs: an error of 10 ms in host time is then 17 ppm.
 pub const SHORTEST_SPAN_US: u64 = 600_000_000;
@@ -57,7 +60,6 @@ pub struct Set {
 #[derive(Clone, Debug)]
 pub struct Clock {
     slots: Slots,
-    sample_period_us: u64,
     first: Option<Binding>,
     state: State,
 }
@@ -72,11 +74,7 @@ struct Kept {
 
 impl Clock {
     /// Reads what was kept and counts this start-up. A flash that cannot be written costs the count, not the clock.
-    pub async fn mount<F: NorFlash>(
-        flash: &mut F,
-        region: Range<u32>,
-        sample_period_us: u32,
-    ) -> Result<Self, F::Error> {
+    pub async fn mount<F: NorFlash>(flash: &mut F, region: Range<u32>) -> Result<Self, F::Error> {
         let slots = Slots::mount(flash, region).await?;
         let kept =
             slots.value().and_then(|value| postcard::from_bytes::<Kept>(value).ok()).unwrap_or_default();
@@ -86,7 +84,7 @@ impl Clock {
             drift_ppb: kept.drift_ppb,
             set_before_us: kept.set_us,
         };
-        let mut clock = Clock { slots, sample_period_us: u64::from(sample_period_us), first: None, state };
+        let mut clock = Clock { slots, first: None, state };
         clock.keep(flash).await;
         Ok(clock)
     }
@@ -100,7 +98,7 @@ impl Clock {
     pub fn unix_us(&self, sample: u64) -> Option<u64> {
         let binding = self.state.binding?;
         let elapsed = i128::from(sample) - i128::from(binding.sample);
-        u64::try_from(i128::from(binding.unix_us) + elapsed * i128::from(self.sample_period_us)).ok()
+        u64::try_from(i128::from(binding.unix_us) + elapsed * SAMPLE_PERIOD_US).ok()
     }
 
     /// Binds host time `unix_us` to raw sample `sample`.
@@ -109,21 +107,12 @@ impl Clock {
         let before = self.unix_us(sample);
         let first = *self.first.get_or_insert(binding);
         let span_us = unix_us.saturating_sub(first.unix_us);
-        let drift = self.drift_since(first, binding);
+        let drift = drift(first, binding);
         self.state.binding = Some(binding);
         self.state.drift_ppb = drift.or(self.state.drift_ppb);
         let stored = self.keep(flash).await;
         let ahead_us = before.map(|before| before.wrapping_sub(unix_us) as i64);
         Set { binding, ahead_us, span_us, drift_ppb: self.state.drift_ppb, stored }
-    }
-
-    fn drift_since(&self, first: Binding, now: Binding) -> Option<i32> {
-        let host = i128::from(now.unix_us) - i128::from(first.unix_us);
-        if host < i128::from(SHORTEST_SPAN_US) {
-            return None;
-        }
-        let node = (i128::from(now.sample) - i128::from(first.sample)) * i128::from(self.sample_period_us);
-        i32::try_from((node - host) * 1_000_000_000 / host).ok()
     }
 
     async fn keep<F: NorFlash>(&mut self, flash: &mut F) -> bool {
@@ -132,6 +121,15 @@ impl Clock {
         let mut value = [0xFF; VALUE];
         postcard::to_slice(&kept, &mut value).is_ok() && self.slots.store(flash, value).await.is_ok()
     }
+}
+
+fn drift(first: Binding, now: Binding) -> Option<i32> {
+    let host = i128::from(now.unix_us) - i128::from(first.unix_us);
+    if host < i128::from(SHORTEST_SPAN_US) {
+        return None;
+    }
+    let node = (i128::from(now.sample) - i128::from(first.sample)) * SAMPLE_PERIOD_US;
+    i32::try_from((node - host) * 1_000_000_000 / host).ok()
 }
 
 #[cfg(test)]
@@ -144,7 +142,7 @@ mod tests {
 
     fn mounted(nor: &mut Nor) -> Clock {
         let region = nor.whole();
-        block_on(Clock::mount(nor, region, 250)).unwrap()
+        block_on(Clock::mount(nor, region)).unwrap()
     }
 
     #[test]

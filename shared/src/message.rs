@@ -101,6 +101,7 @@ pub enum Request<'a> {
 }
 
 /// The node answers.
+#[allow(clippy::large_enum_variant, reason = "one reply at a time, and no heap to put the list on")]
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Reply<'a> {
     /// To any request.

@@ -74,4 +74,6 @@ pub mod flag {
     pub const KERNEL_READ: u16 = 1 << 7;
     /// Speed below 40 km/h: the method is weak there (paper, section 6.3).
     pub const LOW_SPEED: u16 = 1 << 8;
+    /// The passage began while the previous one was being evaluated; nothing of it was recorded.
+    pub const NOT_RECORDED: u16 = 1 << 9;
 }

@@ -188,8 +188,8 @@ fn shortened(text: &str) -> String<16> {
 mod tests {
     use super::*;
     use crate::bank;
+    use crate::bank::tests::{header, package};
     use crate::checksum::crc32;
-    use crate::fit::tests::{EXPECTED, header, package};
     use crate::frame::Decoder;
     use crate::journal::Extent;
     use crate::nor_mock::Nor;
@@ -210,7 +210,7 @@ mod tests {
     impl Node {
         fn new() -> Box<Self> {
             let nor = Nor::new((FLASH_LEN / 4096) as usize);
-            let storage = block_on(Storage::mount(nor, Map::node(), EXPECTED, 250)).ok();
+            let storage = block_on(Storage::mount(nor, Map::node())).ok();
             Box::new(Node { server: Server::new(IDENTITY), storage, live: Live::default() })
         }
 

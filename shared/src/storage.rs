@@ -4,12 +4,11 @@ use core::ops::Range;
 
 use embedded_storage_async::nor_flash::MultiwriteNorFlash;
 
-use crate::bank::{Active, Banks, Refusal, Regions};
+use crate::bank::{Active, Banks, Refusal, Regions, SCRATCH};
 use crate::clock::Clock;
-use crate::fit::Expected;
 use crate::journal::{AppendError, Journal, SEGMENT};
 use crate::message::Kernel;
-use crate::package::{Header, MAX_HEADER_LEN};
+use crate::package::Header;
 use crate::record::Record;
 
 /// What is where in the flash, bytes from its beginning. Everything begins and ends at 4 KiB sectors.
@@ -58,21 +57,16 @@ pub struct Storage<F> {
     pub(crate) banks: Banks,
     pub(crate) clock: Clock,
     /// For a header or a record, whichever is at hand.
-    pub(crate) scratch: [u8; MAX_HEADER_LEN],
+    pub(crate) scratch: [u8; SCRATCH],
     errors: u32,
 }
 
 impl<F: MultiwriteNorFlash> Storage<F> {
     /// Reads the flash and counts the start-up. The flash must take single bytes (`WRITE_SIZE` 1).
-    pub async fn mount(
-        mut flash: F,
-        map: Map,
-        expected: Expected,
-        sample_period_us: u32,
-    ) -> Result<Self, F::Error> {
-        let mut scratch = [0; MAX_HEADER_LEN];
-        let clock = Clock::mount(&mut flash, map.clock, sample_period_us).await?;
-        let banks = Banks::mount(&mut flash, map.banks, expected, &mut scratch).await?;
+    pub async fn mount(mut flash: F, map: Map) -> Result<Self, F::Error> {
+        let mut scratch = [0; SCRATCH];
+        let clock = Clock::mount(&mut flash, map.clock).await?;
+        let banks = Banks::mount(&mut flash, map.banks, &mut scratch).await?;
         let journal = Journal::mount(&mut flash, map.journal, map.segment, &mut scratch).await;
         Ok(Storage { flash, journal, banks, clock, scratch, errors: 0 })
     }

@@ -5,17 +5,18 @@
 
 use heapless::Deque;
 
+use super::FIFO_SAMPLES as CAPACITY;
 use super::registers::*;
-use super::{FIFO_SAMPLES as CAPACITY, MAX_CODE};
+use crate::sample::SensorCode;
 
 /// Where the samples come from.
 pub trait Source {
-    /// Vertical acceleration of the next sample, sensor codes; `None` when there are no more.
-    fn next_code(&mut self) -> Option<i32>;
+    /// Vertical acceleration of the next sample; `None` when there are no more.
+    fn next_code(&mut self) -> Option<SensorCode>;
 }
 
-impl<F: FnMut() -> Option<i32>> Source for F {
-    fn next_code(&mut self) -> Option<i32> {
+impl<F: FnMut() -> Option<SensorCode>> Source for F {
+    fn next_code(&mut self) -> Option<SensorCode> {
         self()
     }
 }
@@ -24,7 +25,7 @@ impl<F: FnMut() -> Option<i32>> Source for F {
 pub struct Model<S> {
     source: S,
     registers: [u8; 0x30],
-    fifo: Deque<i32, CAPACITY>,
+    fifo: Deque<SensorCode, CAPACITY>,
     entry: usize, // of the oldest sample, that is to be read next
     overrun: bool,
     exhausted: bool,
@@ -61,7 +62,7 @@ impl<S: Source> Model<S> {
                 self.overrun = true;
             }
             // Full was ruled out above.
-            let _ = self.fifo.push_back(code.clamp(-MAX_CODE - 1, MAX_CODE));
+            let _ = self.fifo.push_back(code);
         }
     }
 
@@ -139,7 +140,7 @@ impl<S: Source> Model<S> {
     fn pop_byte(&mut self) -> u8 {
         let Some(&z) = self.fifo.front() else { return FIFO_EMPTY };
         let (axis, byte) = (self.entry / ENTRY_BYTES, self.entry % ENTRY_BYTES);
-        let code = if axis == 2 { z } else { 0 };
+        let code = if axis == 2 { z.get() } else { 0 };
         let marker = if axis == 0 { FIFO_X_MARKER } else { 0 };
         let bytes = (((code as u32) << 4) | u32::from(marker)).to_be_bytes();
         self.entry += 1;

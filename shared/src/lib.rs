@@ -15,6 +15,7 @@
 #[cfg(test)]
 extern crate std;
 
+pub mod acquire;
 pub mod adxl357;
 pub mod bank;
 pub mod checksum;

@@ -268,6 +268,8 @@ pub enum Activity {
     Passage,
     /// A passage is being evaluated.
     Evaluating,
+    /// No more samples will come and every passage has been evaluated (simulated sensor).
+    Ended,
 }
 
 /// What the sensor sees.
@@ -281,7 +283,7 @@ pub struct Live {
     pub mean_m_s2: f32,
     /// RMS about the mean of the last full second, m/s².
     pub rms_m_s2: f32,
-    /// Largest |acceleration| of the last full second, m/s².
+    /// Largest deviation from the mean in the last full second, m/s².
     pub peak_m_s2: f32,
     /// Sequence of the newest record.
     pub last_sequence: Option<u32>,

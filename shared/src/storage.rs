@@ -8,6 +8,7 @@ use crate::bank::{Active, Banks, Refusal, Regions, SCRATCH};
 use crate::clock::Clock;
 use crate::journal::{AppendError, Journal, SEGMENT};
 use crate::message::Kernel;
+use crate::operator::ReadFailed;
 use crate::package::Header;
 use crate::record::Record;
 
@@ -47,6 +48,32 @@ impl Map {
                 banks: [0x20_0000..0x50_0000, 0x50_0000..FLASH_LEN],
             },
         }
+    }
+}
+
+/// The package in force, as the evaluation needs it.
+pub struct InForce {
+    package: Active,
+    /// Its header.
+    pub header: Header,
+}
+
+/// Where the payload of a package is.
+#[derive(Clone, Copy, Debug)]
+pub struct Payload {
+    package: Active,
+    start: u32,
+}
+
+impl InForce {
+    /// Kernel id of records.
+    pub fn id(&self) -> u32 {
+        self.package.kernel_id
+    }
+
+    /// For [`Storage::payload`].
+    pub fn payload(&self) -> Payload {
+        Payload { package: self.package, start: self.package.length.saturating_sub(self.header.payload_len) }
     }
 }
 

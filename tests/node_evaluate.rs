@@ -227,3 +227,31 @@ fn property_slow_trains_and_cut_windows_are_flagged() {
     let cut = run(&signal(40.0, &OFFSETS_M, end), &header, &payload);
     assert_eq!((cut.flags, cut.wheelsets.len()), (flag::WINDOW_CUT, 8));
 }
+
+#[test]
+fn property_odd_recordings_and_packages_never_panic() {
+    let (mut header, payload) = kernel_package();
+    let odd = [0.0, 1.0, -1.0, 1e-30, 1e30, f32::MAX, f32::INFINITY, f32::NAN, 20.0, -35.0];
+    let mut state = 7_u32;
+    let mut next = |below: usize| {
+        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        (state >> 8) as usize % below
+    };
+    let train = record_passage(&signal(40.0, &OFFSETS_M, 8.0)).1;
+    for round in 0..200 {
+        let mut samples = train.samples().to_vec();
+        samples.truncate(next(samples.len() + 1));
+        for _ in 0..next(5) {
+            if let Some(sample) = samples.get_mut(next(4000)) {
+                *sample = odd[next(odd.len())];
+            }
+        }
+        header.train.axle_offset_m[7] = [45.55, 45.55, 1e9, f32::MAX][next(4)];
+        header.bins[0].speed_m_s = [38.0, 1e-30][next(2)];
+        header.bins[2].speed_m_s = [42.0, 1e30][next(2)];
+        let mut reader = InMemory(&payload);
+        let kernel = Kernel { header: &header, id: round, payload: &mut reader };
+        let record = block_on(evaluate(&Passage::default(), &samples, Some(kernel), &mut Scratch::new()));
+        assert!(record.wheelsets.iter().all(|w| w.peak_force_n.is_finite()));
+    }
+}

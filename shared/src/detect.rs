@@ -26,7 +26,7 @@ pub struct Detector {
     pub hold: u32,
     /// Shortest time between first and last activity of a passage: a single bogie at 75 m/s takes 0.1 s.
     pub min_duration: u32,
-    /// A passage that lasts longer than this is ended.
+    /// A passage that lasts longer than this is ended, and the baseline learnt anew.
     pub max_duration: u32,
 }
 
@@ -42,7 +42,7 @@ impl Default for Detector {
             min_active: 36,
             hold: 1500,
             min_duration: 80,
-            max_duration: 60_000,
+            max_duration: 20_000,
         }
     }
 }
@@ -63,8 +63,9 @@ pub enum Change {
 /// State of the detector.
 #[derive(Clone, Debug)]
 pub struct Detection {
-    /// Offset of the quiet signal, m/s².
-    baseline: f32,
+    /// Offset of the quiet signal, m/s²: bias, and gravity where the sensor contains it. Taken from the first
+    /// sample, then tracked while quiet.
+    baseline: Option<f32>,
     /// Mean absolute deviation from it while quiet, m/s².
     noise: f32,
     /// Latest samples, newest in bit 0: active or not.
@@ -88,12 +89,17 @@ impl Default for Detection {
 impl Detection {
     /// Nothing heard yet. The noise starts at the level that gives the lowest threshold.
     pub const fn new() -> Self {
-        Self { baseline: 0.0, noise: 0.05, history: 0, passage: None }
+        Self { baseline: None, noise: 0.05, history: 0, passage: None }
     }
 
     /// Whether a passage is going on.
     pub const fn in_passage(&self) -> bool {
         self.passage.is_some()
+    }
+
+    /// Offset of the quiet signal, m/s².
+    pub fn baseline_m_s2(&self) -> f32 {
+        self.baseline.unwrap_or(0.0)
     }
 
     /// Noise while quiet, as mean absolute value, m/s².
@@ -112,7 +118,7 @@ const LEAST_NOISE_M_S2: f32 = 1e-3;
 impl Detector {
     /// Takes one decimated sample, m/s².
     pub fn process(&self, state: &mut Detection, x: f32) -> Change {
-        let deviation = x - state.baseline;
+        let deviation = x - *state.baseline.get_or_insert(x);
         let active = deviation.abs() > self.threshold(state);
         state.history = (state.history << 1) | u128::from(active);
         match state.passage {
@@ -136,7 +142,7 @@ impl Detector {
 
     fn wait(&self, state: &mut Detection, deviation: f32) -> Change {
         let limit = CLIP * state.noise;
-        state.baseline += deviation.clamp(-limit, limit) / TRACKING;
+        state.baseline = state.baseline.map(|offset| offset + deviation.clamp(-limit, limit) / TRACKING);
         state.noise =
             (state.noise + (deviation.abs().min(limit) - state.noise) / TRACKING).max(LEAST_NOISE_M_S2);
         if state.history.count_ones() < self.min_active {
@@ -150,11 +156,12 @@ impl Detector {
         let idle = if active { 0 } else { span.idle.saturating_add(1) };
         let span = Span { duration: span.duration.saturating_add(1), idle };
         state.passage = Some(span);
-        if idle >= self.hold || span.duration >= self.max_duration {
-            self.end(state, span)
-        } else {
-            Change::None
+        if span.duration >= self.max_duration {
+            // Rather the quiet level has moved than that this is a train: learn it anew.
+            *state = Detection { passage: state.passage, ..Detection::new() };
+            return self.end(state, span);
         }
+        if idle >= self.hold { self.end(state, span) } else { Change::None }
     }
 
     fn end(&self, state: &mut Detection, span: Span) -> Change {
@@ -242,6 +249,15 @@ mod tests {
             let changes: Vec<_> = run(raw).into_iter().map(|(_, change)| change).collect();
             assert_eq!(changes, [Change::Began, Change::Ended], "{v} m/s");
         }
+    }
+
+    #[test]
+    fn property_gravity_is_no_train_and_a_step_is_learnt() {
+        let mut noise = Noise(7);
+        assert_eq!(run((0..100_000).map(|_| -9.8 + noise.next(0.1))), []);
+        let step = |k: u32| if k < 20_000 { 0.0 } else { 2.0 };
+        let changes = run((0..400_000).map(|k| step(k) + noise.next(0.1)));
+        assert!(matches!(changes[..], [(_, Change::Began), (_, Change::Ended)]), "{changes:?}");
     }
 
     #[test]

@@ -15,6 +15,8 @@
 
 pub mod check;
 
+pub use check::{PackageError, header_len};
+
 use heapless::{String, Vec};
 use serde::{Deserialize, Serialize};
 

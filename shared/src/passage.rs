@@ -17,7 +17,7 @@ pub struct Passage {
     pub first_sample: u64,
     /// Raw samples from there to the end of the passage, also when the buffer could not hold them.
     pub samples: u32,
-    /// Largest |acceleration| of the raw samples, m/s².
+    /// Largest |acceleration| of the raw samples, m/s², from the quiet level (gravity is taken off).
     pub max_acceleration_m_s2: f32,
     /// The flags of [`crate::record::flag`] that are known from sampling.
     pub flags: u16,

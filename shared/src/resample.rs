@@ -7,6 +7,8 @@ use crate::kaiser;
 
 /// Samples that contribute to one value.
 pub const TAPS: usize = 16;
+/// Work of one value, in multiplications (see [`crate::pace`]).
+pub const WORK: usize = 4 * TAPS;
 /// Tabulated positions between two samples. The error of going linearly between them is
 /// (2π · 0.3 / 64)² / 8 = 1.1 · 10⁻⁴ at 300 Hz.
 pub const PHASES: usize = 64;

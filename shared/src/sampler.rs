@@ -40,22 +40,32 @@ struct Open {
     peak: Peak,
 }
 
-/// Largest |code| and what went wrong.
-#[derive(Clone, Copy, Debug, Default)]
+/// Smallest and largest code and what went wrong.
+#[derive(Clone, Copy, Debug)]
 struct Peak {
-    code: i32,
+    low: SensorCode,
+    high: SensorCode,
     flags: u16,
 }
 
 impl Peak {
+    /// Of no samples.
+    const NONE: Self = Self { low: SensorCode::MAX, high: SensorCode::MIN, flags: 0 };
+
     fn add(&mut self, other: Peak) {
-        self.code = self.code.max(other.code);
+        self.low = self.low.min(other.low);
+        self.high = self.high.max(other.high);
         self.flags |= other.flags;
+    }
+
+    /// Largest distance from an offset, m/s²; 0 of no samples.
+    fn distance_m_s2(&self, offset_m_s2: f32) -> f32 {
+        (self.high.to_m_s2() - offset_m_s2).max(offset_m_s2 - self.low.to_m_s2()).max(0.0)
     }
 }
 
 /// The same over the time before a trigger: two halves that take turns, so it looks back 0.4 to 0.8 s.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug)]
 struct Recent {
     older: Peak,
     newer: Peak,
@@ -69,7 +79,7 @@ impl Recent {
         self.newer.add(peak);
         self.count += 1;
         if self.count >= Self::HALF {
-            *self = Self { older: self.newer, newer: Peak::default(), count: 0 };
+            *self = Self { older: self.newer, newer: Peak::NONE, count: 0 };
         }
     }
 
@@ -83,12 +93,11 @@ impl Recent {
 impl Sampler {
     /// A sampler whose next passage gets the number `sequence`.
     pub const fn new(detector: Detector, sequence: u32) -> Self {
-        const NONE: Peak = Peak { code: 0, flags: 0 };
         Self {
             detector,
             detection: Detection::new(),
             decimator: Decimator::new(),
-            recent: Recent { older: NONE, newer: NONE, count: 0 },
+            recent: Recent { older: Peak::NONE, newer: Peak::NONE, count: 0 },
             last: SensorCode::new(0),
             raw_count: 0,
             sequence,
@@ -126,13 +135,13 @@ impl Sampler {
     pub fn push(&mut self, code: SensorCode, free: Option<&mut Buffer>) -> Option<Event> {
         self.last = code;
         let flags = if code.is_clipped() { flag::CLIPPED } else { 0 };
-        self.watch(Peak { code: code.get().abs(), flags });
+        self.watch(Peak { low: code, high: code, flags });
         self.advance(code, free)
     }
 
     /// Accounts for `n` samples that the sensor took and nobody read.
     pub fn lost(&mut self, n: u32, mut free: Option<&mut Buffer>) -> Option<Event> {
-        self.watch(Peak { code: 0, flags: flag::SAMPLES_LOST });
+        self.watch(Peak { flags: flag::SAMPLES_LOST, ..Peak::NONE });
         let mut event = None;
         if n <= FILLED_GAP {
             for _ in 0..n {
@@ -215,7 +224,7 @@ impl Sampler {
             sequence: self.sequence,
             first_sample: open.first_sample,
             samples: u32::try_from(self.newest_raw().saturating_sub(open.first_sample)).unwrap_or(u32::MAX),
-            max_acceleration_m_s2: SensorCode::new(open.peak.code).to_m_s2(),
+            max_acceleration_m_s2: open.peak.distance_m_s2(self.detection.baseline_m_s2()),
             flags: open.flags | open.peak.flags,
         };
         self.sequence = self.sequence.wrapping_add(1);

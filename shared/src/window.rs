@@ -2,7 +2,7 @@
 
 use crate::decimate::RATE_HZ;
 use crate::pace::Pace;
-use crate::resample::{Position, TAPS, at};
+use crate::resample::{Position, WORK, at};
 use crate::timing::axles::Signal;
 
 /// Where a window lies and how it is scaled.
@@ -40,7 +40,7 @@ impl Cut {
         for (k, y) in window.iter_mut().enumerate() {
             let position = origin.after((k as f32 - f32::from(self.before)) * ratio);
             *y = (at(signal.samples, position, signal.mean) - signal.mean) * scale;
-            pace.spend(2 * TAPS).await;
+            pace.spend(WORK).await;
         }
         first.whole >= 0 && usize::try_from(last.whole).is_ok_and(|last| last < signal.samples.len())
     }

@@ -82,7 +82,7 @@ impl Aligner<'_> {
     }
 
     fn lags(&self, distance_m: f32) -> usize {
-        ((distance_m / self.bin.speed_m_s * RATE_HZ) as usize + 1).clamp(3, MAX_LAG)
+        ((distance_m / self.bin.speed_m_s * RATE_HZ) as usize).clamp(3, MAX_LAG)
     }
 
     fn offset_m(&self, group: &Group) -> f32 {

@@ -55,6 +55,11 @@ impl Grid {
         let reach = ((SMOOTHING_M / speed_m_s * RATE_HZ) as usize).clamp(2, 400);
         Self { reach, step: (reach / 8).max(1) }
     }
+
+    /// Work of one value of the energy, in multiplications: the weights are calculated, not tabulated.
+    fn work(&self) -> usize {
+        8 * self.reach
+    }
 }
 
 /// Time of the first axle: where the energy seen through the pattern is largest, s. `None` when the recording is
@@ -76,7 +81,7 @@ pub async fn first_axle(
         let mut sum = 0.0;
         for offset in offsets_m {
             sum += signal.energy(start + (offset * per_metre + 0.5) as usize, grid.reach);
-            pace.spend(4 * grid.reach).await;
+            pace.spend(grid.work()).await;
         }
         if best.0 + grid.step == start {
             curve[2] = sum;
@@ -104,12 +109,12 @@ pub async fn detect(
     for offset in offsets_m {
         let middle = ((first_axle_s + offset / speed_m_s) * RATE_HZ + 0.5) as usize;
         scale += signal.energy(middle, grid.reach) / offsets_m.len() as f32;
-        pace.spend(4 * grid.reach).await;
+        pace.spend(grid.work()).await;
     }
     let mut humps = Humps::new(LEAST_HUMP * scale);
     for middle in (0..signal.samples.len()).step_by(grid.step) {
         humps.push(middle, signal.energy(middle, grid.reach));
-        pace.spend(4 * grid.reach).await;
+        pace.spend(grid.work()).await;
     }
     humps.times_s
 }

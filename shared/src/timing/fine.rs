@@ -3,7 +3,7 @@
 use crate::decimate::RATE_HZ;
 use crate::pace::Pace;
 use crate::peaks::vertex;
-use crate::resample::{Position, TAPS, at};
+use crate::resample::{Position, WORK, at};
 use crate::timing::axles::Signal;
 
 /// Part of the track around the crossing over which the axles are compared, m to either side.
@@ -78,7 +78,7 @@ impl Stack<'_> {
                 sum += at(self.signal.samples, position, self.signal.mean) - self.signal.mean;
             }
             energy += sum * sum;
-            pace.spend(2 * TAPS * self.offsets_m.len()).await;
+            pace.spend(WORK * self.offsets_m.len()).await;
         }
         energy
     }

@@ -159,18 +159,24 @@ pub struct Banks {
 }
 
 impl Banks {
+    /// Knows nothing of the flash yet.
+    pub const fn new(regions: Regions) -> Self {
+        let Regions { marker: Range { start, end }, .. } = regions;
+        Banks { marker: Slots::new(start..end), regions, active: None, upload: None }
+    }
+
     /// Looks for the package in force. A marker whose bank does not hold the header it names puts none in force.
     pub async fn mount<F: NorFlash>(
+        &mut self,
         flash: &mut F,
-        regions: Regions,
         scratch: &mut [u8; SCRATCH],
-    ) -> Result<Self, F::Error> {
-        let marker = Slots::mount(flash, regions.marker.clone()).await?;
-        let marked = marker.value().and_then(Active::from_value);
-        let mut banks = Banks { regions, marker, active: marked, upload: None };
-        let found = banks.found(flash, scratch).await;
-        banks.active = marked.filter(|marked| found.is_ok_and(|found| found.id == marked.kernel_id));
-        Ok(banks)
+    ) -> Result<(), F::Error> {
+        self.marker.mount(flash).await?;
+        let marked = self.marker.value().and_then(Active::from_value);
+        self.active = marked;
+        let found = self.found(flash, scratch).await;
+        self.active = marked.filter(|marked| found.is_ok_and(|found| found.id == marked.kernel_id));
+        Ok(())
     }
 
     /// The package in force.
@@ -200,16 +206,18 @@ impl Banks {
         check(bytes, active.length)
     }
 
-    /// The header of the package in force, and the package to read matrices from.
+    /// Reads the header of the package in force into `header`; the package is what to read matrices from. After an
+    /// error `header` is not to be used.
     pub async fn header<F: NorFlash>(
         &self,
         flash: &mut F,
+        header: &mut Header,
         scratch: &mut [u8; SCRATCH],
-    ) -> Result<(Active, Header), Refusal> {
+    ) -> Result<Active, Refusal> {
         let active = self.active.ok_or(Refusal::NoPackage)?;
         let bytes = self.header_bytes(flash, active.bank, scratch).await?;
-        let (header, _) = Header::decode(bytes).map_err(Refusal::Header)?;
-        Ok((active, header))
+        header.decode_into(bytes).map_err(Refusal::Header)?;
+        Ok(active)
     }
 
     /// Reads from `package`, `offset` bytes from the beginning of the file.
@@ -384,7 +392,8 @@ impl Banks {
 
 /// Checks prefix and header of a package of `package` bytes in all.
 fn check(bytes: &[u8], package: u32) -> Result<Found, Refusal> {
-    let (header, id) = Header::decode(bytes).map_err(Refusal::Header)?;
+    let mut header = Header::empty();
+    let id = header.decode_into(bytes).map_err(Refusal::Header)?;
     let parts = bytes.len() as u64 + u64::from(header.payload_len);
     if parts != u64::from(package) {
         return Err(Refusal::Length { package, parts });
@@ -462,7 +471,9 @@ pub(crate) mod tests {
     }
 
     fn mounted(nor: &mut Nor) -> Banks {
-        block_on(Banks::mount(nor, regions(), &mut [0; SCRATCH])).unwrap()
+        let mut banks = Banks::new(regions());
+        block_on(banks.mount(nor, &mut [0; SCRATCH])).unwrap();
+        banks
     }
 
     fn site(nor: &mut Nor) -> Option<std::string::String> {

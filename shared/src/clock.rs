@@ -73,20 +73,22 @@ struct Kept {
 }
 
 impl Clock {
+    /// Knows nothing of the flash yet.
+    pub const fn new(region: Range<u32>) -> Self {
+        let state = State { boots: 0, binding: None, drift_ppb: None, set_before_us: None };
+        Clock { slots: Slots::new(region), first: None, state }
+    }
+
     /// Reads what was kept and counts this start-up. A flash that cannot be written costs the count, not the clock.
-    pub async fn mount<F: NorFlash>(flash: &mut F, region: Range<u32>) -> Result<Self, F::Error> {
-        let slots = Slots::mount(flash, region).await?;
+    pub async fn mount<F: NorFlash>(&mut self, flash: &mut F) -> Result<(), F::Error> {
+        self.slots.mount(flash).await?;
         let kept =
-            slots.value().and_then(|value| postcard::from_bytes::<Kept>(value).ok()).unwrap_or_default();
-        let state = State {
-            boots: kept.boots.saturating_add(1),
-            binding: None,
-            drift_ppb: kept.drift_ppb,
-            set_before_us: kept.set_us,
-        };
-        let mut clock = Clock { slots, first: None, state };
-        clock.keep(flash).await;
-        Ok(clock)
+            self.slots.value().and_then(|value| postcard::from_bytes::<Kept>(value).ok()).unwrap_or_default();
+        self.state.boots = kept.boots.saturating_add(1);
+        self.state.drift_ppb = kept.drift_ppb;
+        self.state.set_before_us = kept.set_us;
+        self.keep(flash).await;
+        Ok(())
     }
 
     /// What is known.
@@ -141,8 +143,9 @@ mod tests {
     const START_US: u64 = 1_760_000_000_000_000;
 
     fn mounted(nor: &mut Nor) -> Clock {
-        let region = nor.whole();
-        block_on(Clock::mount(nor, region)).unwrap()
+        let mut clock = Clock::new(nor.whole());
+        block_on(clock.mount(nor)).unwrap();
+        clock
     }
 
     #[test]

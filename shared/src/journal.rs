@@ -73,24 +73,24 @@ pub struct Journal {
 }
 
 impl Journal {
-    /// Reads the whole region once to learn what is there. `region`: whole segments of `segment` bytes, at least two;
-    /// what is beyond [`MAX_SEGMENTS`] is not used. `buffer`: at least [`MAX_ENCODED_LEN`] bytes.
-    pub async fn mount<F: MultiwriteNorFlash>(
-        flash: &mut F,
-        region: Range<u32>,
-        segment: u32,
-        buffer: &mut [u8],
-    ) -> Self {
-        let mut journal = Journal { region, segment, segments: Vec::new(), current: 0, errors: 0 };
-        for start in journal.region.clone().step_by(segment as usize).take(MAX_SEGMENTS) {
-            let (extent, intact) = scan(flash, start..start + segment, buffer).await;
-            journal.errors += u32::from(!intact);
-            let _ = journal.segments.push(extent); // bounded by `take`
+    /// Knows nothing of the flash yet. `region`: whole segments of `segment` bytes, at least two; what is beyond
+    /// [`MAX_SEGMENTS`] is not used.
+    pub const fn new(region: Range<u32>, segment: u32) -> Self {
+        Journal { region, segment, segments: Vec::new(), current: 0, errors: 0 }
+    }
+
+    /// Reads the whole region once to learn what is there. `buffer`: at least [`MAX_ENCODED_LEN`] bytes.
+    pub async fn mount<F: MultiwriteNorFlash>(&mut self, flash: &mut F, buffer: &mut [u8]) {
+        self.segments.clear();
+        let segments = (self.region.end - self.region.start) / self.segment.max(1);
+        for index in 0..(segments as usize).min(MAX_SEGMENTS) {
+            let (extent, intact) = scan(flash, self.range(index), buffer).await;
+            self.errors = self.errors.saturating_add(u32::from(!intact));
+            let _ = self.segments.push(extent); // bounded above
         }
         let newest =
-            journal.segments.iter().enumerate().filter_map(|(index, s)| Some((s.as_ref()?.last, index)));
-        journal.current = newest.max().map_or(0, |(_, index)| index);
-        journal
+            self.segments.iter().enumerate().filter_map(|(index, s)| Some((s.as_ref()?.last, index)));
+        self.current = newest.max().map_or(0, |(_, index)| index);
     }
 
     /// What the journal holds; `None` when it is empty.
@@ -356,8 +356,9 @@ mod tests {
     }
 
     fn mounted(nor: &mut Nor) -> Journal {
-        let region = nor.whole();
-        block_on(Journal::mount(nor, region, SECTORS_PER_SEGMENT * SECTOR as u32, &mut [0; MAX_ENCODED_LEN]))
+        let mut journal = Journal::new(nor.whole(), SECTORS_PER_SEGMENT * SECTOR as u32);
+        block_on(journal.mount(nor, &mut [0; MAX_ENCODED_LEN]));
+        journal
     }
 
     fn append(nor: &mut Nor, sequence: u32) -> Result<(), AppendError> {

@@ -24,6 +24,7 @@ pub mod decimate;
 pub mod detect;
 pub mod evaluate;
 pub mod frame;
+pub mod image;
 pub mod journal;
 pub mod kaiser;
 pub mod message;

@@ -36,21 +36,21 @@ impl Server {
     }
 
     /// Answers the payload of one good frame with the frame to send back; an empty one when the request does not even
-    /// tell its version and id. `storage` is `None` until the flash has been read.
+    /// tell its version and id.
     pub async fn answer<F: MultiwriteNorFlash>(
         &mut self,
         request: &[u8],
-        storage: Option<&mut Storage<F>>,
+        storage: &mut Storage<F>,
         live: &Live,
     ) -> &[u8] {
         let Ok(((version, id), body)) = postcard::take_from_bytes::<(u8, u16)>(request) else { return &[] };
-        let reply = match (version, postcard::take_from_bytes::<Request>(body), storage) {
-            (PROTOCOL_VERSION, Ok((request, [])), Some(storage)) => {
+        let reply = match (version, postcard::take_from_bytes::<Request>(body)) {
+            (PROTOCOL_VERSION, Ok((request, []))) if storage.is_mounted() => {
                 self.identity.reply(request, storage, live).await.unwrap_or_else(Reply::Refused)
             }
-            (PROTOCOL_VERSION, Ok((_, [])), None) => Reply::Refused(Refusal::Starting),
-            (PROTOCOL_VERSION, _, _) => Reply::Refused(Refusal::Unknown),
-            (tool, _, _) => Reply::Refused(Refusal::Version { node: PROTOCOL_VERSION, tool }),
+            (PROTOCOL_VERSION, Ok((_, []))) => Reply::Refused(Refusal::Starting),
+            (PROTOCOL_VERSION, _) => Reply::Refused(Refusal::Unknown),
+            (tool, _) => Reply::Refused(Refusal::Version { node: PROTOCOL_VERSION, tool }),
         };
         let length = match encode(id, reply, &mut self.payload) {
             Some(length) => length,
@@ -203,19 +203,20 @@ mod tests {
 
     struct Node {
         server: Server,
-        storage: Option<Storage<Nor>>,
+        storage: Storage<Nor>,
         live: Live,
     }
 
     impl Node {
         fn new() -> Box<Self> {
             let nor = Nor::new((FLASH_LEN / 4096) as usize);
-            let storage = block_on(Storage::mount(nor, Map::node())).ok();
+            let mut storage = Storage::new(nor, Map::node());
+            block_on(storage.mount()).unwrap();
             Box::new(Node { server: Server::new(IDENTITY), storage, live: Live::default() })
         }
 
         fn ask_raw(&mut self, payload: &[u8]) -> StdVec<u8> {
-            let frame = block_on(self.server.answer(payload, self.storage.as_mut(), &self.live));
+            let frame = block_on(self.server.answer(payload, &mut self.storage, &self.live));
             let mut decoder = Decoder::new();
             frame.iter().find_map(|&byte| decoder.push(byte).map(|reply| reply.to_vec())).unwrap_or_default()
         }
@@ -242,7 +243,7 @@ mod tests {
                 flags: 3,
                 wheelsets: Vec::new(),
             };
-            block_on(self.storage.as_mut().unwrap().append(&record)).unwrap();
+            block_on(self.storage.append(&record)).unwrap();
         }
     }
 
@@ -360,7 +361,7 @@ mod tests {
         let unknown: Envelope<Reply> = postcard::from_bytes(&unknown).unwrap();
         assert_eq!(unknown.body, Reply::Refused(Refusal::Unknown));
         assert!(node.ask_raw(&[]).is_empty());
-        node.storage = None;
+        node.storage = Storage::new(Nor::new(1), Map::node());
         node.ask(Request::Info, |reply| assert_eq!(reply, Reply::Refused(Refusal::Starting)));
     }
 

@@ -54,19 +54,24 @@ struct Newest {
 }
 
 impl Slots {
-    /// Looks for the value in force. `region`: at least two sectors.
-    pub async fn mount<F: NorFlash>(flash: &mut F, region: Range<u32>) -> Result<Self, F::Error> {
-        let mut newest: Option<Newest> = None;
-        for address in region.clone().step_by(SLOT) {
+    /// Knows nothing of the flash yet. `region`: at least two sectors.
+    pub const fn new(region: Range<u32>) -> Self {
+        Slots { region, newest: None }
+    }
+
+    /// Looks for the value in force.
+    pub async fn mount<F: NorFlash>(&mut self, flash: &mut F) -> Result<(), F::Error> {
+        self.newest = None;
+        for address in self.region.clone().step_by(SLOT) {
             let mut slot = [0; SLOT];
             flash.read(address, &mut slot).await?;
             if let Some((generation, value)) = decode(&slot)
-                && newest.as_ref().is_none_or(|n| generation > n.generation)
+                && self.newest.as_ref().is_none_or(|n| generation > n.generation)
             {
-                newest = Some(Newest { address, generation, value });
+                self.newest = Some(Newest { address, generation, value });
             }
         }
-        Ok(Slots { region, newest })
+        Ok(())
     }
 
     /// The value in force.
@@ -157,8 +162,9 @@ mod tests {
     }
 
     fn mounted(nor: &mut Nor) -> Slots {
-        let region = nor.whole();
-        block_on(Slots::mount(nor, region)).unwrap()
+        let mut slots = Slots::new(nor.whole());
+        block_on(slots.mount(nor)).unwrap();
+        slots
     }
 
     #[test]

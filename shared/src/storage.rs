@@ -51,11 +51,10 @@ impl Map {
     }
 }
 
-/// The package in force, as the evaluation needs it.
+/// The package in force, as the evaluation needs it; 7 kB, for a `static`.
 pub struct InForce {
-    package: Active,
-    /// Its header.
-    pub header: Header,
+    package: Option<Active>,
+    header: Header,
 }
 
 /// Where the payload of a package is.
@@ -66,14 +65,22 @@ pub struct Payload {
 }
 
 impl InForce {
-    /// Kernel id of records.
-    pub fn id(&self) -> u32 {
-        self.package.kernel_id
+    /// None is known to be in force.
+    pub const fn new() -> Self {
+        InForce { package: None, header: Header::empty() }
     }
 
-    /// For [`Storage::payload`].
-    pub fn payload(&self) -> Payload {
-        Payload { package: self.package, start: self.package.length.saturating_sub(self.header.payload_len) }
+    /// Header, kernel id for records, and where to read the payload.
+    pub fn get(&self) -> Option<(&Header, u32, Payload)> {
+        let package = self.package?;
+        let start = package.length.saturating_sub(self.header.payload_len);
+        Some((&self.header, package.kernel_id, Payload { package, start }))
+    }
+}
+
+impl Default for InForce {
+    fn default() -> Self {
+        Self::new()
     }
 }
 
@@ -85,17 +92,36 @@ pub struct Storage<F> {
     pub(crate) clock: Clock,
     /// For a header or a record, whichever is at hand.
     pub(crate) scratch: [u8; SCRATCH],
+    mounted: bool,
     errors: u32,
 }
 
 impl<F: MultiwriteNorFlash> Storage<F> {
-    /// Reads the flash and counts the start-up. The flash must take single bytes (`WRITE_SIZE` 1).
-    pub async fn mount(mut flash: F, map: Map) -> Result<Self, F::Error> {
-        let mut scratch = [0; SCRATCH];
-        let clock = Clock::mount(&mut flash, map.clock).await?;
-        let banks = Banks::mount(&mut flash, map.banks, &mut scratch).await?;
-        let journal = Journal::mount(&mut flash, map.journal, map.segment, &mut scratch).await;
-        Ok(Storage { flash, journal, banks, clock, scratch, errors: 0 })
+    /// Knows nothing of the flash yet. The flash must take single bytes (`WRITE_SIZE` 1).
+    pub const fn new(flash: F, map: Map) -> Self {
+        Storage {
+            flash,
+            journal: Journal::new(map.journal, map.segment),
+            banks: Banks::new(map.banks),
+            clock: Clock::new(map.clock),
+            scratch: [0; SCRATCH],
+            mounted: false,
+            errors: 0,
+        }
+    }
+
+    /// Reads the flash and counts the start-up.
+    pub async fn mount(&mut self) -> Result<(), F::Error> {
+        self.clock.mount(&mut self.flash).await?;
+        self.banks.mount(&mut self.flash, &mut self.scratch).await?;
+        self.journal.mount(&mut self.flash, &mut self.scratch).await;
+        self.mounted = true;
+        Ok(())
+    }
+
+    /// Whether the flash has been read.
+    pub fn is_mounted(&self) -> bool {
+        self.mounted
     }
 
     /// The journal.
@@ -118,21 +144,28 @@ impl<F: MultiwriteNorFlash> Storage<F> {
         self.journal.append(&mut self.flash, record, &mut self.scratch).await
     }
 
-    /// The package in force and its header.
-    pub async fn kernel_header(&mut self) -> Result<(Active, Header), Refusal> {
-        let header = self.banks.header(&mut self.flash, &mut self.scratch).await;
-        self.count(header)
+    /// Makes `kernel` the package in force; its header is read only when it is another one than before.
+    pub async fn refresh(&mut self, kernel: &mut InForce) {
+        if self.banks.active() == kernel.package {
+            return;
+        }
+        kernel.package = None;
+        let package = self.banks.header(&mut self.flash, &mut kernel.header, &mut self.scratch).await;
+        kernel.package = self.count(package).ok();
     }
 
-    /// Reads from a package, `offset` bytes from the beginning of the file.
-    pub async fn kernel_read(
+    /// Reads from the payload of a package, `offset` bytes from its beginning.
+    pub async fn payload(
         &mut self,
-        package: Active,
+        package: Payload,
         offset: u32,
         bytes: &mut [u8],
-    ) -> Result<(), Refusal> {
-        let outcome = self.banks.read(&mut self.flash, package, offset, bytes).await;
-        self.count(outcome)
+    ) -> Result<(), ReadFailed> {
+        let outcome = match package.start.checked_add(offset) {
+            Some(offset) => self.banks.read(&mut self.flash, package.package, offset, bytes).await,
+            None => Err(Refusal::Flash { offset }),
+        };
+        self.count(outcome).map_err(|_| ReadFailed)
     }
 
     /// What to tell of the package in force.

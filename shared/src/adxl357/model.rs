@@ -49,7 +49,7 @@ impl<S: Source> Model<S> {
     /// Lets `periods` sample periods go by.
     pub fn elapse(&mut self, periods: u32) {
         for _ in 0..periods {
-            if self.registers[usize::from(POWER_CTL)] & STANDBY != 0 || self.exhausted {
+            if !self.measures() || self.exhausted {
                 return;
             }
             let Some(code) = self.source.next_code() else {
@@ -64,6 +64,11 @@ impl<S: Source> Model<S> {
             // Full was ruled out above.
             let _ = self.fifo.push_back(code);
         }
+    }
+
+    /// Whether the part measures, that is, is not in standby.
+    pub fn measures(&self) -> bool {
+        self.registers[usize::from(POWER_CTL)] & STANDBY == 0
     }
 
     /// Whether INT1 is active (active high, watermark).

@@ -3,9 +3,11 @@
 use crc::{CRC_32_ISO_HDLC, Crc};
 use serde::{Deserialize, Serialize};
 
+use heapless::{String, Vec};
+
 use super::{
-    Block, FORMAT, Header, MAGIC, MAX_GRID, MAX_GROUP_AXLES, MAX_HEADER_LEN, MAX_RANK, MAX_WINDOW, Operator,
-    PREFIX_LEN,
+    Bin, Block, FORMAT, Header, MAGIC, MAX_GRID, MAX_GROUP_AXLES, MAX_HEADER_LEN, MAX_RANK, MAX_WINDOW,
+    Operator, PREFIX_LEN, Provenance, Sensor, Train,
 };
 use crate::decimate::DECIMATION;
 use crate::sample::{FULL_SCALE_CODE, M_S2_PER_CODE, RAW_RATE_HZ};
@@ -180,21 +182,82 @@ pub fn header_len(prefix: &[u8]) -> Result<usize, PackageError> {
     }
 }
 
+/// Postcard and CRC of the header of a package.
+fn checked_postcard(package: &[u8]) -> Result<(&[u8], u32), PackageError> {
+    let needed = PREFIX_LEN + header_len(package)?;
+    let short = PackageError::TooShort { needed, given: package.len() };
+    let bytes = package.get(PREFIX_LEN..needed).ok_or(short)?;
+    let (postcard, stored) = bytes.split_last_chunk::<CRC_LEN>().ok_or(short)?;
+    let (stored, computed) = (u32::from_le_bytes(*stored), CRC.checksum(postcard));
+    if stored != computed {
+        return Err(PackageError::HeaderCrc { stored, computed });
+    }
+    Ok((postcard, stored))
+}
+
 impl Header {
     /// Decodes and checks the header of a package, given at least its first `PREFIX_LEN + header_len` bytes.
     /// Also returns the header's CRC, by which the package is known in records.
     pub fn decode(package: &[u8]) -> Result<(Self, u32), PackageError> {
-        let needed = PREFIX_LEN + header_len(package)?;
-        let short = PackageError::TooShort { needed, given: package.len() };
-        let bytes = package.get(PREFIX_LEN..needed).ok_or(short)?;
-        let (postcard, stored) = bytes.split_last_chunk::<CRC_LEN>().ok_or(short)?;
-        let (stored, computed) = (u32::from_le_bytes(*stored), CRC.checksum(postcard));
-        if stored != computed {
-            return Err(PackageError::HeaderCrc { stored, computed });
+        let mut header = Self::empty();
+        let crc = header.decode_into(package)?;
+        Ok((header, crc))
+    }
+
+    /// A header to decode into.
+    pub const fn empty() -> Self {
+        let provenance = Provenance {
+            site: String::new(),
+            model_hash: 0,
+            calibrated_on: String::new(),
+            written_by: String::new(),
+        };
+        let sensor = Sensor { sample_rate_hz: 0.0, decimation: 0, m_s2_per_code: 0.0, range_m_s2: 0.0 };
+        let train =
+            Train { name: String::new(), axle_offset_m: Vec::new(), static_force_n: 0.0, groups: Vec::new() };
+        Header {
+            format: 0,
+            provenance,
+            sensor,
+            direction: 0,
+            train,
+            grid_first_m: 0.0,
+            grid_step_m: 0.0,
+            grid_len: 0,
+            bins: Vec::new(),
+            payload_len: 0,
         }
-        let header: Self = postcard::from_bytes(postcard).map_err(|_| PackageError::Encoding)?;
-        header.check()?;
-        Ok((header, stored))
+    }
+
+    /// Like [`decode`](Self::decode), into memory that is there. Bin by bin: as one value, with what serde keeps on
+    /// the way, it takes 60 kB of stack on the MCU. After an error, what is there is not to be used.
+    pub fn decode_into(&mut self, package: &[u8]) -> Result<u32, PackageError> {
+        let (postcard, crc) = checked_postcard(package)?;
+        // Before anything that another version may have changed.
+        match postcard::take_from_bytes::<u16>(postcard) {
+            Ok((FORMAT, _)) => {}
+            Ok((other, _)) => return Err(PackageError::Format(other)),
+            Err(_) => return Err(PackageError::Encoding),
+        }
+        self.fill(postcard).map_err(|_| PackageError::Encoding)?;
+        self.check()?;
+        Ok(crc)
+    }
+
+    fn fill(&mut self, postcard: &[u8]) -> postcard::Result<()> {
+        type Head = (u16, Provenance, Sensor, i8, Train, f32, f32, u16);
+        let (head, rest) = postcard::take_from_bytes::<Head>(postcard)?;
+        (self.format, self.provenance, self.sensor, self.direction, self.train, ..) = head;
+        (.., self.grid_first_m, self.grid_step_m, self.grid_len) = head;
+        let (count, mut rest) = postcard::take_from_bytes::<u32>(rest)?;
+        self.bins.clear();
+        for _ in 0..count {
+            let (bin, after) = postcard::take_from_bytes::<Bin>(rest)?;
+            self.bins.push(bin).map_err(|_| postcard::Error::SerializeBufferFull)?;
+            rest = after;
+        }
+        (self.payload_len, _) = postcard::take_from_bytes::<u32>(rest)?;
+        Ok(())
     }
 
     /// Writes prefix, header and CRC; returns how many bytes they take. `HeaderLength` when `out` is too small.

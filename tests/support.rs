@@ -1,1 +1,5 @@
 //! Helpers shared by the whole-system tests.
+
+pub mod program;
+pub mod sample;
+pub mod tolerance;

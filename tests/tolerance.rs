@@ -1,4 +1,4 @@
-//! Tolerances of the whole-system tests, with their reasons.
+//! Tolerances of the whole-system tests, each with its reason.
 #![allow(dead_code, reason = "each test file uses its own part")]
 
 /// Speed of a field recording against the truth, relative, median of a site. Three times what was measured; the
@@ -17,3 +17,9 @@ pub const SYNTHETIC_TIME_S: f64 = 5e-5;
 pub const SYNTHETIC_FORCE: f64 = 2e-3;
 /// Position of the peak, m: a fifth of the grid's step.
 pub const SYNTHETIC_POSITION_M: f64 = 4e-3;
+
+/// Values that pass through a float64 column are the same bits.
+pub const EXACT: f64 = 0.0;
+
+/// Relative; values that pass through a float32 column once: half a unit in the last place of 24 bits.
+pub const FLOAT32_COLUMN: f64 = 6e-8;

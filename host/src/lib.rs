@@ -1,4 +1,19 @@
 //! Railway crossing panel condition monitoring.
 
 pub mod analysis;
+pub mod ballast;
+pub mod beam;
+pub mod cmd;
+pub mod greens;
+pub mod inverse;
+pub mod reconstruct;
+pub mod pipeline;
+pub mod progress;
 pub mod recording;
+pub mod report;
+pub mod results;
+pub mod section;
+pub mod signal;
+pub mod track;
+pub mod vehicle;
+pub mod verification;

@@ -1,2 +1,7 @@
 //! The `cpcm` command.
-fn main() {}
+
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    cpcm::cmd::main()
+}

@@ -1,8 +1,26 @@
 //! Site directories: `crossing.toml`, recordings (Parquet or CSV), optional laser scan.
 
+mod check;
 mod crossing;
+mod crossing_file;
+mod csv;
+mod error;
+pub(crate) mod files;
+mod guard;
+mod mseed;
+pub(crate) mod parquet;
+mod samples;
+mod scan;
+pub(crate) mod table;
+pub mod truth;
 
+use std::path::Path;
+
+pub use check::{MAX_PASSAGES, MAX_SAMPLES, check_passage};
 pub use crossing::*;
+pub use crossing_file::check_crossing;
+pub use guard::silence_guarded_panics;
+pub use error::{PassageFault, RecordingError};
 
 /// One crossing panel recorded over a number of train passages.
 #[derive(Clone, Debug)]
@@ -18,7 +36,7 @@ pub struct Site {
 }
 
 /// One recorded train passage.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Passage {
     /// Identifier in the file.
     pub passage_id: i32,
@@ -54,4 +72,95 @@ pub struct Skipped {
     pub row: usize,
     /// What is wrong and what to do about it.
     pub reason: String,
+}
+
+/// Reads and checks a site directory.
+///
+/// A fault of the whole (no crossing.toml, a missing column, a truncated file) is an error. A fault of one passage
+/// leaves that passage out and lists it in [`Site::skipped`]; when nothing remains, that is an error too.
+/// Files named `truth.*` are never opened here.
+pub fn read_site(dir: &Path) -> Result<Site, RecordingError> {
+    let not_a_site = |missing| RecordingError::NotASite { path: dir.into(), missing };
+    if !dir.is_dir() {
+        return Err(RecordingError::NoDirectory { path: dir.into() });
+    }
+    let crossing_file = dir.join("crossing.toml");
+    if !crossing_file.is_file() {
+        return Err(not_a_site("crossing.toml"));
+    }
+    let crossing = crossing_file::read_crossing(&crossing_file)?;
+    let (recordings, index) = (dir.join("passages.parquet"), dir.join("passages.csv"));
+    let (recordings, (passages, skipped)) = match (recordings.is_file(), index.is_file()) {
+        (true, false) => (recordings.clone(), parquet::read_passages(&recordings, &crossing)?),
+        (false, true) => (index, csv::read_passages(dir, &crossing)?),
+        (true, true) => return Err(RecordingError::TwoRecordings { path: dir.into() }),
+        (false, false) => return Err(not_a_site("passages.parquet")),
+    };
+    if passages.is_empty() {
+        let first = skipped.first().map_or_else(String::new, |s| s.reason.clone());
+        return Err(RecordingError::NoUsablePassages { file: recordings, rows: skipped.len(), first });
+    }
+    let scan_file = dir.join("irregularity.csv");
+    let scan = scan_file.is_file().then(|| scan::read_scan(&scan_file)).transpose()?;
+    Ok(Site { crossing, passages, scan, skipped })
+}
+
+/// How the recordings of a site are stored.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Format {
+    /// `passages.parquet`.
+    Parquet,
+    /// `passages.csv` and `passages/NNN.csv`.
+    Csv,
+}
+
+/// How the recordings in a site directory are stored, judged by the files that are there.
+pub fn format_of(dir: &Path) -> Format {
+    if dir.join("passages.csv").is_file() { Format::Csv } else { Format::Parquet }
+}
+
+/// Writes a site directory, which is created when it does not exist. Each file appears under its name only when
+/// it is complete.
+pub fn write_site(dir: &Path, site: &Site, format: Format) -> Result<(), RecordingError> {
+    files::create_dir(dir)?;
+    crossing_file::write_crossing(&dir.join("crossing.toml"), &site.crossing)?;
+    if let Some(scan) = &site.scan {
+        scan::write_scan(&dir.join("irregularity.csv"), scan)?;
+    }
+    match format {
+        Format::Parquet => parquet::write_passages(&dir.join("passages.parquet"), &site.passages),
+        Format::Csv => csv::write_passages(dir, &site.passages),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn reference_site_reads_completely() {
+        for name in ["reference-1", "reference-2", "reference-3", "known-saturation", "blind-e", "blind-g"] {
+            let dir = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/data/field").join(name);
+            let site = read_site(&dir).unwrap();
+            assert_eq!(site.passages.len(), 24, "{name}");
+            assert!(site.skipped.is_empty(), "{name}: {:?}", site.skipped);
+            assert!(site.scan.is_some());
+        }
+    }
+
+    #[test]
+    fn regress_site_survives_both_formats() {
+        let dir = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/data/field/reference-3");
+        let mut site = read_site(&dir).unwrap();
+        site.passages.truncate(3);
+        for format in [Format::Parquet, Format::Csv] {
+            let out = tempfile::tempdir().unwrap();
+            write_site(out.path(), &site, format).unwrap();
+            assert_eq!(format_of(out.path()), format);
+            let again = read_site(out.path()).unwrap();
+            assert_eq!(again.crossing, site.crossing);
+            assert_eq!(again.passages, site.passages);
+            assert_eq!(again.scan, site.scan);
+        }
+    }
 }

@@ -149,6 +149,13 @@ pub struct Vehicle {
     pub hertz_constant_n_m15: f64,
 }
 
+impl Vehicle {
+    /// Distance from the first to the last axle of the train, metres.
+    pub fn axle_base_m(&self) -> f64 {
+        (self.cars.max(1) - 1) as f64 * self.car_length_m + self.bogie_centres_m + self.axle_spacing_m
+    }
+}
+
 /// `[sensor]`, on the crossing sleeper.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[allow(missing_docs)]

@@ -1,0 +1,48 @@
+//! Ballast stiffness around the crossing: three-parameter distribution and its calibration (paper, section 3.1).
+
+pub mod evidence;
+pub mod quasi_static;
+
+/// Three-parameter distribution (paper, fig. 7): outer stiffness p1, stiffness p2 of the crossing sleeper, shape p3.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BallastParameters {
+    /// Outer stiffness, N/m².
+    pub p1_n_m2: f64,
+    /// Stiffness under the crossing sleeper, N/m².
+    pub p2_n_m2: f64,
+    /// Shape: share of the way from p2 to p1 that the neighbouring sleeper has gone, 0 … 1.
+    pub p3: f64,
+}
+
+impl BallastParameters {
+    /// Stiffness of the sleeper `offset` away from the crossing sleeper, N/m²: p1 from two sleepers on, otherwise
+    /// p2 + (p1 − p2) q(|offset|/2) with q(s) = (4 p3 − 1) s + (2 − 4 p3) s².
+    pub fn at_offset(&self, offset: i64) -> f64 {
+        let s = offset.unsigned_abs() as f64 / 2.0;
+        if s >= 1.0 {
+            return self.p1_n_m2;
+        }
+        let q = (4.0 * self.p3 - 1.0) * s + (2.0 - 4.0 * self.p3) * s * s;
+        self.p2_n_m2 + (self.p1_n_m2 - self.p2_n_m2) * q
+    }
+
+    /// Stiffness of all sleepers, N/m².
+    pub fn distribution(&self, n_sleepers: usize, crossing_sleeper: usize) -> Vec<f64> {
+        (0..n_sleepers).map(|i| self.at_offset(i as i64 - crossing_sleeper as i64)).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn analytic_distribution_at_its_three_points() {
+        let p = BallastParameters { p1_n_m2: 30e6, p2_n_m2: 18e6, p3: 0.35 };
+        let d = p.distribution(7, 3);
+        assert_eq!(d[0], 30e6);
+        assert!((d[2] - 22.2e6).abs() < 1.0);
+        assert_eq!(d[3], 18e6);
+        assert_eq!(d[2], d[4]);
+    }
+}

@@ -1,0 +1,270 @@
+//! Calibration on the quasi-static part of the displacement (paper, eq. 1 and 2): below the frequency v/2.3 m the
+//! sleeper follows a constant moving load, so no crossing geometry is needed.
+//!
+//! The comparison is made in the frequency domain, where the brick-wall low-pass of eq. 2 is a choice of lines and
+//! the alignment of model and measurement a phase.
+
+use faer::c64;
+use levenberg_marquardt::{LeastSquaresProblem, LevenbergMarquardt};
+use nalgebra::{DMatrix, DVector, Dyn, Owned, Vector3};
+
+use super::BallastParameters;
+use crate::reconstruct::Recording;
+use crate::track::Track;
+use crate::vehicle::AxlePattern;
+
+/// Deformation wavelength that separates quasi-static from dynamic response, metres (paper, section 3.1).
+pub const SEPARATION_WAVELENGTH_M: f64 = 2.3;
+/// Spacing of the compared lines, Hz.
+const LINE_HZ: f64 = 0.5;
+/// Lowest compared line, Hz: double integration leaves nothing but noise below.
+const LOWEST_HZ: f64 = 2.0;
+/// A recording begins when the first axle is at least this far away and ends when the last one is, metres.
+const APPROACH_M: f64 = 6.0;
+/// Positions x at which the moving load is sampled, metres.
+const STEP_M: f64 = 0.1;
+/// Where the load begins to fade and where it is gone, metres from the origin: no step at the rail ends.
+const FADE_M: [f64; 2] = [13.0, 17.0];
+
+/// One passage prepared for the comparison.
+#[derive(Clone, Debug)]
+pub struct QuasiStaticPassage {
+    speed_m_s: f64,
+    static_force_n: f64,
+    duration_s: f64,
+    /// Time between first and last axle, seconds.
+    train_s: f64,
+    /// Displacement spectrum on the lines, m s.
+    measured: Vec<c64>,
+    /// Sum of the axles' phases on the lines.
+    pattern: Vec<c64>,
+}
+
+/// Lines at which model and measurement are compared, and the model to evaluate there.
+pub struct QuasiStatic<'a> {
+    track: &'a Track,
+    direction: f64,
+    frequency_hz: Vec<f64>,
+    passages: Vec<QuasiStaticPassage>,
+}
+
+/// Result of the calibration.
+#[derive(Clone, Debug)]
+pub struct QuasiStaticFit {
+    /// Best parameters.
+    pub parameters: BallastParameters,
+    /// Time of the first axle at x = 0 per passage, seconds.
+    pub first_axle_s: Vec<f64>,
+    /// Remaining misfit, RMS ratio to the measured displacement in the band.
+    pub misfit: f64,
+    /// Model evaluations used.
+    pub evaluations: usize,
+}
+
+impl<'a> QuasiStatic<'a> {
+    /// Prepares recordings with known speeds.
+    pub fn new(
+        track: &'a Track,
+        direction: f64,
+        pattern: &AxlePattern,
+        recordings: &[(&Recording, f64, f64)],
+    ) -> Self {
+        let fastest = recordings.iter().map(|(_, v, _)| *v).fold(0.0, f64::max);
+        let lines = (fastest / SEPARATION_WAVELENGTH_M / LINE_HZ).floor() as usize;
+        let frequency_hz: Vec<f64> =
+            (1..=lines).map(|k| k as f64 * LINE_HZ).filter(|f| *f >= LOWEST_HZ).collect();
+        let passages = recordings
+            .iter()
+            .map(|(recording, speed, force)| prepare(recording, *speed, *force, pattern, &frequency_hz))
+            .collect();
+        Self { track, direction, frequency_hz, passages }
+    }
+
+    /// Times of the first axles for given ballast: global search, then Newton steps on the correlation.
+    pub fn align(&self, ballast: &BallastParameters) -> Vec<f64> {
+        let models = self.models(ballast);
+        self.passages.iter().zip(&models).map(|(p, m)| self.search_time(p, m)).collect()
+    }
+
+    /// Fits the three parameters, times of the axles included, from `start`.
+    pub fn fit(&self, start: BallastParameters) -> QuasiStaticFit {
+        let first_axle_s = self.align(&start);
+        let problem = Problem { model: self, times: first_axle_s, scaled: to_scaled(&start), evaluations: 0 };
+        let (problem, report) = LevenbergMarquardt::new().with_ftol(1e-8).with_xtol(1e-6).minimize(problem);
+        let parameters = from_scaled(&problem.scaled);
+        let models = self.models(&parameters);
+        let first_axle_s =
+            (0..self.passages.len()).map(|i| self.refine_time(&self.passages[i], &models[i], problem.times[i])).collect();
+        QuasiStaticFit {
+            parameters,
+            first_axle_s,
+            misfit: (2.0 * report.objective_function.max(0.0)).sqrt(),
+            evaluations: report.number_of_evaluations,
+        }
+    }
+
+    /// Displacement spectrum of the whole train under constant wheel forces, first axle at time 0, per passage.
+    fn models(&self, ballast: &BallastParameters) -> Vec<Vec<c64>> {
+        let distribution = ballast.distribution(self.track.sleeper_x_m.len(), self.track.sensor_sleeper);
+        let receptance = self.track.sensor_receptance(&self.frequency_hz, &distribution);
+        let profile: Vec<Vec<c64>> = (0..self.frequency_hz.len())
+            .map(|k| self.track.both_rails_on_grid(&receptance.crossing[k], &receptance.stock[k], STEP_M))
+            .collect();
+        self.passages.iter().map(|p| self.model_of(p, &profile)).collect()
+    }
+
+    fn model_of(&self, passage: &QuasiStaticPassage, profile: &[Vec<c64>]) -> Vec<c64> {
+        let first = self.track.node_x_m[0];
+        let scale = passage.static_force_n / passage.speed_m_s * STEP_M;
+        self.frequency_hz
+            .iter()
+            .zip(profile)
+            .zip(&passage.pattern)
+            .map(|((f, row), pattern)| {
+                let turn = -std::f64::consts::TAU * f * self.direction / passage.speed_m_s;
+                let mut sum = c64::new(0.0, 0.0);
+                for (i, h) in row.iter().enumerate() {
+                    let x = first + i as f64 * STEP_M;
+                    let weight = ((FADE_M[1] - x.abs()) / (FADE_M[1] - FADE_M[0])).clamp(0.0, 1.0);
+                    sum += h * unit(turn * x) * weight;
+                }
+                sum * scale * pattern
+            })
+            .collect()
+    }
+
+    fn in_band(&self, passage: &QuasiStaticPassage) -> usize {
+        self.frequency_hz.partition_point(|f| *f <= passage.speed_m_s / SEPARATION_WAVELENGTH_M)
+    }
+
+    fn search_time(&self, passage: &QuasiStaticPassage, model: &[c64]) -> f64 {
+        let lines = self.in_band(passage);
+        let product: Vec<c64> = (0..lines).map(|k| passage.measured[k] * model[k].conj()).collect();
+        let step = 1e-3;
+        // The whole train with its approach lies inside the recording; this also excludes the copies of the train that
+        // the line spacing allows.
+        let approach_s = APPROACH_M / passage.speed_m_s;
+        let span = passage.duration_s - passage.train_s - 2.0 * approach_s;
+        let count = (span.max(0.0) / step) as usize + 1;
+        let correlation = |t: f64| -> f64 {
+            product.iter().zip(&self.frequency_hz).map(|(c, f)| (c * unit(std::f64::consts::TAU * f * t)).re).sum()
+        };
+        let best = (0..count).map(|i| approach_s + i as f64 * step).max_by(|a, b| correlation(*a).total_cmp(&correlation(*b)));
+        self.refine_time(passage, model, best.unwrap_or(0.0))
+    }
+
+    fn refine_time(&self, passage: &QuasiStaticPassage, model: &[c64], start: f64) -> f64 {
+        let lines = self.in_band(passage);
+        let mut t = start;
+        for _ in 0..4 {
+            let (mut slope, mut curvature) = (0.0, 0.0);
+            for k in 0..lines {
+                let w = std::f64::consts::TAU * self.frequency_hz[k];
+                let e = passage.measured[k] * model[k].conj() * unit(w * t);
+                slope -= w * e.im;
+                curvature -= w * w * e.re;
+            }
+            if curvature < 0.0 {
+                t -= (slope / curvature).clamp(-5e-3, 5e-3);
+            }
+        }
+        t
+    }
+
+    /// Stacked real and imaginary residuals over all passages, scaled so that their square sum is the misfit ratio squared.
+    fn residuals(&self, ballast: &BallastParameters, times: &mut [f64]) -> Vec<f64> {
+        let models = self.models(ballast);
+        let mut out = Vec::new();
+        let mut power = 0.0;
+        for ((passage, model), time) in self.passages.iter().zip(&models).zip(times.iter_mut()) {
+            *time = self.refine_time(passage, model, *time);
+            for k in 0..self.in_band(passage) {
+                let shift = unit(-std::f64::consts::TAU * self.frequency_hz[k] * *time);
+                let e = passage.measured[k] - model[k] * shift;
+                out.extend([e.re, e.im]);
+                power += passage.measured[k].norm_sqr();
+            }
+        }
+        let scale = 1.0 / power.sqrt().max(f64::MIN_POSITIVE);
+        out.iter().map(|v| v * scale).collect()
+    }
+}
+
+fn unit(phase: f64) -> c64 {
+    c64::new(phase.cos(), phase.sin())
+}
+
+/// Rate of the slow copy of the recording, Hz, and its band.
+const SLOW_RATE_HZ: f64 = 200.0;
+const SLOW_BAND_HZ: [f64; 2] = [60.0, 90.0];
+
+fn prepare(recording: &Recording, speed: f64, force: f64, pattern: &AxlePattern, lines: &[f64]) -> QuasiStaticPassage {
+    let duration_s = recording.duration_s();
+    let slow = recording.window(0.0, SLOW_RATE_HZ, (duration_s * SLOW_RATE_HZ) as usize, SLOW_BAND_HZ);
+    let measured = lines
+        .iter()
+        .map(|f| {
+            let w = std::f64::consts::TAU * f;
+            let sum = slow.iter().enumerate().fold(c64::new(0.0, 0.0), |acc, (i, a)| acc + unit(-w * i as f64 / SLOW_RATE_HZ) * *a);
+            sum * (-1.0 / (w * w) / SLOW_RATE_HZ)
+        })
+        .collect();
+    let axles = lines
+        .iter()
+        .map(|f| pattern.offset_m.iter().fold(c64::new(0.0, 0.0), |acc, o| acc + unit(-std::f64::consts::TAU * f * o / speed)))
+        .collect();
+    QuasiStaticPassage { speed_m_s: speed, static_force_n: force, duration_s, train_s: pattern.length_m() / speed, measured, pattern: axles }
+}
+
+/// The optimiser works on (ln p1, ln p2, p3), which keeps the stiffnesses positive.
+fn to_scaled(p: &BallastParameters) -> Vector3<f64> {
+    Vector3::new(p.p1_n_m2.ln(), p.p2_n_m2.ln(), p.p3)
+}
+
+fn from_scaled(z: &Vector3<f64>) -> BallastParameters {
+    BallastParameters { p1_n_m2: z[0].clamp(13.0, 20.0).exp(), p2_n_m2: z[1].clamp(13.0, 20.0).exp(), p3: z[2].clamp(0.0, 1.0) }
+}
+
+struct Problem<'p, 'a> {
+    model: &'p QuasiStatic<'a>,
+    times: Vec<f64>,
+    scaled: Vector3<f64>,
+    evaluations: usize,
+}
+
+impl LeastSquaresProblem<f64, Dyn, nalgebra::U3> for Problem<'_, '_> {
+    type ParameterStorage = Owned<f64, nalgebra::U3>;
+    type ResidualStorage = Owned<f64, Dyn>;
+    type JacobianStorage = Owned<f64, Dyn, nalgebra::U3>;
+
+    fn set_params(&mut self, x: &Vector3<f64>) {
+        self.scaled = *x;
+        self.evaluations += 1;
+    }
+
+    fn params(&self) -> Vector3<f64> {
+        self.scaled
+    }
+
+    fn residuals(&self) -> Option<DVector<f64>> {
+        let mut times = self.times.clone();
+        Some(DVector::from_vec(self.model.residuals(&from_scaled(&self.scaled), &mut times)))
+    }
+
+    fn jacobian(&self) -> Option<nalgebra::OMatrix<f64, Dyn, nalgebra::U3>> {
+        let step = 1e-3;
+        let columns: Vec<DVector<f64>> = (0..3)
+            .map(|i| {
+                let at = |sign: f64| {
+                    let mut z = self.scaled;
+                    z[i] += sign * step;
+                    let mut times = self.times.clone();
+                    DVector::from_vec(self.model.residuals(&from_scaled(&z), &mut times))
+                };
+                (at(1.0) - at(-1.0)) / (2.0 * step)
+            })
+            .collect();
+        let matrix = DMatrix::from_columns(&columns);
+        Some(matrix.fixed_columns::<3>(0).into_owned())
+    }
+}

@@ -1,0 +1,81 @@
+//! `cpcm analyse`
+
+use std::path::PathBuf;
+
+use anyhow::Context;
+use clap::Args;
+
+use super::output::{print, warn_skipped};
+use super::progress::Bar;
+use crate::analysis::{Analysis, Condition};
+use crate::pipeline::{self, AnalyseOptions};
+use crate::recording::read_site;
+use crate::results::{summary_json, write_results};
+
+/// Analyse the recordings of one crossing: ballast, contact forces, irregularity, condition
+///
+/// Reads a site directory (crossing.toml and passages.parquet, or passages.csv with passages/*.csv) and writes
+/// forces.parquet, ballast.csv, indicators.json, modes.csv and report.html.
+#[derive(Args)]
+#[command(after_help = "Example:\n  cpcm analyse tests/data/field/reference-1 --out results")]
+pub(super) struct AnalyseArgs {
+    /// Site directory
+    site: PathBuf,
+    /// Directory for the results; created when missing
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// Print the summary as JSON (the content of indicators.json)
+    #[arg(long)]
+    json: bool,
+}
+
+impl AnalyseArgs {
+    pub(super) fn run(self) -> anyhow::Result<()> {
+        let site =
+            read_site(&self.site).with_context(|| format!("cannot read site {}", self.site.display()))?;
+        warn_skipped(&site.skipped);
+        let analysis = pipeline::analyse(&site, &AnalyseOptions::default(), &Bar::new())
+            .with_context(|| format!("cannot analyse site {}", self.site.display()))?;
+        write_results(&self.out, &analysis)
+            .with_context(|| format!("cannot write results to {}", self.out.display()))?;
+        if self.json {
+            return print(&summary_json(&analysis));
+        }
+        print(&format!("{}\nreport: {}\n", summary(&analysis), self.out.join("report.html").display()))
+    }
+}
+
+/// Condition, action and the numbers behind them, for the terminal.
+pub(super) fn summary(analysis: &Analysis) -> String {
+    let i = &analysis.indicators;
+    let condition = match i.condition {
+        Condition::Healthy => "healthy",
+        Condition::Watch => "watch",
+        Condition::Damaged => "damaged",
+    };
+    let (f, r, b) = (i.peak_force_n, i.irregularity_rms_m, &analysis.ballast);
+    format!(
+        "site          {}\ncondition     {condition}\nurgency       {}\naction        {}\n\
+         force peak    {:.0} kN (middle 80 %: {:.0} … {:.0}, threshold {:.0})\n\
+         irregularity  {:.0} µm RMS (middle 80 %: {:.0} … {:.0}, threshold {:.0})\n\
+         ballast       {:.1} MN/m² under the crossing (90 %: {:.1} … {:.1}), {:.1} elsewhere\n\
+         passages      {} used, {} left out",
+        analysis.crossing.name,
+        i.urgency,
+        i.recommended_action,
+        1e-3 * f.mean,
+        1e-3 * f.p10,
+        1e-3 * f.p90,
+        1e-3 * f.threshold,
+        1e6 * r.mean,
+        1e6 * r.p10,
+        1e6 * r.p90,
+        1e6 * r.threshold,
+        1e-6 * b.p2_n_m2.value,
+        1e-6 * b.p2_n_m2.lower,
+        1e-6 * b.p2_n_m2.upper,
+        1e-6 * b.p1_n_m2.value,
+        analysis.passages.len(),
+        analysis.skipped.len(),
+    )
+}

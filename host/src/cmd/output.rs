@@ -1,0 +1,41 @@
+//! What the subcommands print.
+
+use std::io::{ErrorKind, Write};
+
+use crate::recording::Skipped;
+
+/// Prints to standard output. A reader that has gone away (`cpcm … | head`) is no failure.
+pub(super) fn print(text: &str) -> anyhow::Result<()> {
+    let mut out = std::io::stdout().lock();
+    match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
+        Err(error) if error.kind() != ErrorKind::BrokenPipe => Err(error.into()),
+        _ => Ok(()),
+    }
+}
+
+/// Prints a value as JSON.
+pub(super) fn print_json(value: &serde_json::Value) -> anyhow::Result<()> {
+    print(&format!("{value:#}\n"))
+}
+
+/// Lists the passages that were left out, on standard error.
+pub(super) fn warn_skipped(skipped: &[Skipped]) {
+    for s in skipped {
+        let id = s.passage_id.map_or("unknown".into(), |id| id.to_string());
+        complain(&format!("warning: passage {id} is left out: {}\n", s.reason));
+    }
+}
+
+/// An error and its causes, outermost first.
+pub(super) fn print_error(error: &anyhow::Error) {
+    let mut text = format!("error: {error}\n");
+    for cause in error.chain().skip(1) {
+        text.push_str(&format!("  because: {cause}\n"));
+    }
+    complain(&text);
+}
+
+/// Standard error may be closed too; there is nowhere left to say so.
+fn complain(text: &str) {
+    let _ = std::io::stderr().lock().write_all(text.as_bytes());
+}

@@ -1,0 +1,164 @@
+//! Green's functions of the track seen by the sensor, and the moving-load kernels built from them
+//! (paper, section 4.1, eq. 4-8; GKFM-FR).
+
+pub mod moving;
+
+use faer::c64;
+
+use crate::beam;
+use crate::signal::{AntiAlias, irfft, rfft_frequencies_hz, taper};
+use crate::track::{Side, Track};
+
+/// What the Green's functions describe at the sensor.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Quantity {
+    /// Metres per newton second.
+    Displacement,
+    /// m/s² per newton second.
+    Acceleration,
+}
+
+/// Sampling of the Green's functions.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct GreensSampling {
+    /// Rate of the time axis, Hz.
+    pub rate_hz: f64,
+    /// Length in samples; `len / rate_hz` must exceed the decay time of the track, because the inverse transform is
+    /// periodic.
+    pub len: usize,
+    /// Raised-cosine band limit: gain 1 up to the first, 0 from the second frequency, Hz.
+    pub band_hz: [f64; 2],
+}
+
+impl GreensSampling {
+    /// Identification: 1 kHz, full band of the force estimate with room for the transition.
+    pub fn wide() -> Self {
+        Self { rate_hz: 1000.0, len: 512, band_hz: [260.0, 330.0] }
+    }
+
+    /// Calibration by evidence: 400 Hz.
+    pub fn low() -> Self {
+        Self { rate_hz: 400.0, len: 256, band_hz: [110.0, 160.0] }
+    }
+
+    /// Frequencies at which the receptance is needed, Hz: those where the band limit is not zero.
+    pub fn frequencies_hz(&self) -> Vec<f64> {
+        let all = rfft_frequencies_hz(self.len, self.rate_hz);
+        all.into_iter().filter(|f| *f < self.band_hz[1]).collect()
+    }
+}
+
+/// Linear-phase or zero-phase digital filter that the data have passed and the model must therefore pass too.
+#[derive(Clone, Debug)]
+pub enum Chain {
+    /// Data are already corrected for the recorder; only the band limit of the sampling applies.
+    Corrected,
+    /// Analog anti-alias filter followed by a symmetric FIR (delay removed), as on the node.
+    Node {
+        /// Recorder's filter.
+        antialias: AntiAlias,
+        /// FIR taps at the raw rate.
+        taps: Vec<f64>,
+        /// Raw rate, Hz.
+        raw_rate_hz: f64,
+    },
+}
+
+impl Chain {
+    fn gain(&self, f_hz: f64) -> c64 {
+        match self {
+            Chain::Corrected => c64::new(1.0, 0.0),
+            Chain::Node { antialias, taps, raw_rate_hz } => {
+                let middle = (taps.len() as f64 - 1.0) / 2.0;
+                let w = std::f64::consts::TAU * f_hz / raw_rate_hz;
+                let fir: f64 = taps.iter().enumerate().map(|(k, t)| t * (w * (k as f64 - middle)).cos()).sum();
+                antialias.response(f_hz) * fir
+            }
+        }
+    }
+}
+
+/// Unit impulse responses from every rail node (deflection and rotation) to the sensor.
+#[derive(Clone, Debug)]
+pub struct GreensFunctions {
+    /// Sampling of the time axis.
+    pub sampling: GreensSampling,
+    first_node_x_m: f64,
+    step_m: f64,
+    n_nodes: usize,
+    shear_ratio: [Vec<f64>; 2],
+    /// `[side][(node * 2 + dof) * len + lag]`, periodic in lag.
+    response: [Vec<f64>; 2],
+}
+
+impl GreensFunctions {
+    /// Inverse Fourier transform of the receptance (eq. 4), band-limited.
+    pub fn new(track: &Track, ballast_n_m2: &[f64], sampling: GreensSampling, quantity: Quantity, chain: &Chain) -> Self {
+        let receptance = track.sensor_receptance(&sampling.frequencies_hz(), ballast_n_m2);
+        let elements = track.node_x_m.len() - 1;
+        let phi = |side| {
+            (0..elements).map(|e| beam::shear_ratio(track.element_section(side, e), track.step_m)).collect()
+        };
+        let gain: Vec<c64> = receptance
+            .frequency_hz
+            .iter()
+            .map(|f| {
+                let w = std::f64::consts::TAU * f;
+                let order = if quantity == Quantity::Acceleration { -w * w } else { 1.0 };
+                chain.gain(*f) * (order * taper(*f, sampling.band_hz[0], sampling.band_hz[1]))
+            })
+            .collect();
+        Self {
+            sampling,
+            first_node_x_m: track.node_x_m[0],
+            step_m: track.step_m,
+            n_nodes: track.node_x_m.len(),
+            shear_ratio: [phi(Side::Crossing), phi(Side::Stock)],
+            response: [
+                impulse_responses(&receptance.crossing, &gain, sampling),
+                impulse_responses(&receptance.stock, &gain, sampling),
+            ],
+        }
+    }
+
+    /// Response of one degree of freedom of a node, over all lags.
+    fn node_response(&self, side: usize, node: usize, dof: usize) -> &[f64] {
+        let len = self.sampling.len;
+        let start = (node * 2 + dof) * len;
+        &self.response[side][start..start + len]
+    }
+
+    /// Writes the response at the sensor to a unit impulse at `x_m` on one rail into `out`, all lags (periodic).
+    /// The force inside an element acts on its nodes by the element's shape functions. Zero outside the track.
+    pub fn at(&self, side: Side, x_m: f64, out: &mut [f64]) {
+        out.fill(0.0);
+        let position = (x_m - self.first_node_x_m) / self.step_m;
+        if !(position >= 0.0 && position <= (self.n_nodes - 1) as f64) {
+            return;
+        }
+        let element = (position as usize).min(self.n_nodes - 2);
+        let side = if side == Side::Crossing { 0 } else { 1 };
+        let weights = beam::shape(self.shear_ratio[side][element], self.step_m, position - element as f64);
+        for (i, weight) in weights.iter().enumerate() {
+            let g = self.node_response(side, element + i / 2, i % 2);
+            for (o, value) in out.iter_mut().zip(g) {
+                *o += weight * value;
+            }
+        }
+    }
+}
+
+fn impulse_responses(receptance: &[Vec<[c64; 2]>], gain: &[c64], sampling: GreensSampling) -> Vec<f64> {
+    let n_nodes = receptance.first().map_or(0, Vec::len);
+    let mut out = Vec::with_capacity(n_nodes * 2 * sampling.len);
+    let mut spectrum = vec![c64::new(0.0, 0.0); sampling.len / 2 + 1];
+    for node in 0..n_nodes {
+        for dof in 0..2 {
+            for (k, (row, g)) in receptance.iter().zip(gain).enumerate() {
+                spectrum[k] = row[node][dof] * g * sampling.rate_hz;
+            }
+            out.extend(irfft(&spectrum, sampling.len));
+        }
+    }
+    out
+}

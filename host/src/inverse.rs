@@ -1,0 +1,15 @@
+//! Contact force from acceleration, with intervals (paper, section 4.2, eq. 9-12, and beyond).
+//!
+//! The main method is the linear-Gaussian estimate in the acceleration domain: the unknown force deviations f − Q of
+//! all wheels of an axle group have a Gaussian prior, the sensor noise is white, and the recorder is part of the
+//! forward model. Posterior mean and covariance are closed forms, and the mean is linear in the recording:
+//! f̂ = b + K a with fixed K, b and fixed interval widths. The same K is what the node applies.
+
+mod estimator;
+pub mod hierarchy;
+mod prior;
+mod profile;
+
+pub use estimator::{Estimator, GroupGeometry, InverseError};
+pub use prior::{Prior, Spread};
+pub use profile::{CommonProfile, PositionGrid, ProfileGrids, WheelClass};

@@ -1,0 +1,134 @@
+//! What is assumed of the forces before the recording is seen.
+
+use faer::Mat;
+use faer::linalg::solvers::Solve as _;
+
+/// Gaussian prior of the force deviations f − Q and of the noise.
+///
+/// A deviation is the sum of a profile that all wheels of the site share (geometry of the crossing, roughness of both
+/// rails) and a part of each wheel's own (its profile, its path, its roundness).
+#[derive(Clone, Debug, PartialEq)]
+pub struct Prior {
+    /// Transition region, x in metres.
+    pub region_m: [f64; 2],
+    /// The profile that all wheels share.
+    pub common: Spread,
+    /// Each wheel's own part.
+    pub own: Spread,
+    /// Length over which the standard deviations fall off outside the region (Gaussian), metres.
+    pub edge_m: f64,
+    /// Correlation time of a wheel's own part (Matérn 5/2), seconds.
+    pub correlation_s: f64,
+    /// Correlation length of the common profile (Matérn 5/2), metres.
+    pub correlation_m: f64,
+    /// Standard deviation of the deviation's amplitude at wavelengths longer than [`SLOW_WAVELENGTH_M`], newtons: the
+    /// unsprung mass cannot produce more, because it follows the slow variation of the deflection.
+    pub slow_n: f64,
+    /// Standard deviation of a wheel's static load relative to the nominal one.
+    pub load_sd: f64,
+    /// Noise of one window sample, m/s².
+    pub noise_m_s2: f64,
+    /// Standard deviation of a constant offset of the window, m/s².
+    pub offset_sd_m_s2: f64,
+    /// Deviations are unknown while the wheel is within this distance of x = 0, metres; static beyond.
+    pub half_m: f64,
+}
+
+/// Standard deviations of a force deviation, newtons.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Spread {
+    /// Crossing side, inside the transition region.
+    pub region_n: f64,
+    /// Crossing side, outside.
+    pub outside_n: f64,
+    /// Stock side.
+    pub stock_n: f64,
+}
+
+impl Prior {
+    /// Starting values for traffic in a direction (+1 facing, -1 trailing); the hyper-parameters are refined by evidence.
+    /// The transition region is 2.4 m as in the paper (section 4.2), 0.3 m behind the nose tip in facing direction.
+    pub fn starting(direction: f64) -> Self {
+        Self {
+            region_m: [-1.2 + 0.3 * direction, 1.2 + 0.3 * direction],
+            common: Spread { region_n: 25e3, outside_n: 6e3, stock_n: 6e3 },
+            own: Spread { region_n: 6e3, outside_n: 1.5e3, stock_n: 1e3 },
+            edge_m: 0.25,
+            correlation_s: 2e-3,
+            correlation_m: 0.09,
+            slow_n: 1.5e3,
+            load_sd: 0.02,
+            noise_m_s2: 0.08,
+            offset_sd_m_s2: 0.02,
+            half_m: 4.0,
+        }
+    }
+
+    /// The same knowledge, but with no profile shared between wheels: each wheel stands for itself.
+    pub fn independent(&self) -> Self {
+        let join = |a: f64, b: f64| a.hypot(b);
+        let own = Spread {
+            region_n: join(self.common.region_n, self.own.region_n),
+            outside_n: join(self.common.outside_n, self.own.outside_n),
+            stock_n: join(self.common.stock_n, self.own.stock_n),
+        };
+        Self { common: Spread { region_n: 0.0, outside_n: 0.0, stock_n: 0.0 }, own, ..self.clone() }
+    }
+
+    /// Standard deviation of a crossing-side deviation at `x_m`, newtons.
+    pub fn crossing_sd_n(&self, spread: &Spread, x_m: f64) -> f64 {
+        let beyond = (self.region_m[0] - x_m).max(x_m - self.region_m[1]).max(0.0);
+        let inside = (-0.5 * (beyond / self.edge_m).powi(2)).exp();
+        spread.outside_n + (spread.region_n - spread.outside_n) * inside
+    }
+
+    /// Covariance of a deviation with standard deviations `sd_n` at equidistant positions, N²: Matérn 5/2 with `step`
+    /// correlation lengths between neighbours, its slow part limited to [`Self::slow_n`].
+    pub fn covariance(&self, positions_m: &[f64], sd_n: &[f64], step: f64) -> Mat<f64> {
+        let n = positions_m.len();
+        let free = Mat::from_fn(n, n, |i, j| sd_n[i] * sd_n[j] * matern_at(i.abs_diff(j), step));
+        let slow = slow_amplitudes(positions_m, 2.0 * self.half_m);
+        let cross = &free * &slow;
+        let k = slow.ncols();
+        let inner = slow.transpose() * &cross + Mat::from_fn(k, k, |i, j| if i == j { self.slow_n.powi(2) } else { 0.0 });
+        match inner.llt(faer::Side::Lower) {
+            Ok(factor) => &free - &cross * factor.solve(cross.transpose()),
+            Err(_) => free,
+        }
+    }
+
+    /// Lower Cholesky factor of [`Self::covariance`]; `None` if it is not finite.
+    pub fn covariance_factor(&self, positions_m: &[f64], sd_n: &[f64], step: f64) -> Option<Mat<f64>> {
+        let mut covariance = self.covariance(positions_m, sd_n, step);
+        let largest = (0..positions_m.len()).map(|i| covariance[(i, i)]).fold(0.0, f64::max);
+        for i in 0..positions_m.len() {
+            covariance[(i, i)] += JITTER * largest + f64::MIN_POSITIVE;
+        }
+        covariance.llt(faer::Side::Lower).ok().map(|f| f.L().to_owned())
+    }
+}
+
+/// Wavelength beyond which the response is quasi-static, metres (paper, section 3.1).
+pub const SLOW_WAVELENGTH_M: f64 = 2.3;
+/// Relative to the largest variance; keeps a Cholesky factorisation alive.
+const JITTER: f64 = 1e-9;
+
+/// Functionals that read the amplitudes of the slow harmonics over a stretch of `span_m` from equidistant values.
+fn slow_amplitudes(positions_m: &[f64], span_m: f64) -> Mat<f64> {
+    let harmonics = (span_m / SLOW_WAVELENGTH_M).floor() as usize;
+    let n = positions_m.len();
+    Mat::from_fn(n, 1 + 2 * harmonics, |i, c| {
+        let phase = std::f64::consts::TAU * c.div_ceil(2) as f64 * positions_m[i] / span_m;
+        match c {
+            0 => 1.0 / n as f64,
+            _ if c % 2 == 1 => 2.0 / n as f64 * phase.cos(),
+            _ => 2.0 / n as f64 * phase.sin(),
+        }
+    })
+}
+
+/// Matérn-5/2 correlation at a distance of `lag` steps of `step` correlation lengths.
+fn matern_at(lag: usize, step: f64) -> f64 {
+    let r = 5f64.sqrt() * lag as f64 * step;
+    (1.0 + r + r * r / 3.0) * (-r).exp()
+}

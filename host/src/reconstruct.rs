@@ -1,0 +1,147 @@
+//! From a recording to what the identification needs: corrected spectrum, speed, axle times, displacement.
+
+mod displacement;
+mod speed;
+
+pub use displacement::{HighPassSearch, complementary_displacement, high_pass_displacement};
+pub use speed::{SpeedSearch, estimate_speed};
+
+use faer::c64;
+
+use crate::recording::{Passage, Sensor};
+use crate::signal::{AntiAlias, irfft, mean, rfft, rms, taper};
+
+/// Above this frequency the recording is dropped, Hz; the recorder's filter is undone below it.
+const USED_BAND_HZ: [f64; 2] = [500.0, 700.0];
+/// Samples are taken as quiet (no train near) in this long a stretch at both ends of a recording, seconds; recordings
+/// begin and end at least 0.3 s before and after the train.
+const QUIET_S: f64 = 0.25;
+
+/// A recording with bias removed and the recorder's anti-alias filter undone, kept as its spectrum.
+#[derive(Clone, Debug)]
+pub struct Recording {
+    /// Raw sampling rate, Hz.
+    pub rate_hz: f64,
+    /// Raw samples.
+    pub len: usize,
+    /// Acceleration noise in the quiet ends, RMS in the band below [`Self::NOISE_BAND_HZ`], m/s².
+    pub quiet_rms_m_s2: f64,
+    /// Largest |acceleration| of the raw samples, m/s².
+    pub max_m_s2: f64,
+    /// Transform length: `len` padded with zeros.
+    padded: usize,
+    spectrum: Vec<c64>,
+}
+
+impl Recording {
+    /// Band in which the quiet noise is measured, Hz.
+    pub const NOISE_BAND_HZ: [f64; 2] = [5.0, 300.0];
+
+    /// Takes over the raw samples.
+    pub fn new(passage: &Passage, sensor: &Sensor) -> Self {
+        let raw: Vec<f64> = passage.acceleration_m_s2.iter().map(|a| f64::from(*a)).collect();
+        let quiet = ((QUIET_S * passage.sample_rate_hz) as usize).min(raw.len() / 2);
+        let ends: Vec<f64> = raw[..quiet].iter().chain(&raw[raw.len() - quiet..]).copied().collect();
+        let bias = mean(&ends);
+        let padded = padded_len(raw.len());
+        let mut signal: Vec<f64> = raw.iter().map(|a| a - bias).collect();
+        signal.resize(padded, 0.0);
+        let mut spectrum = rfft(&signal);
+        let antialias = AntiAlias::new(sensor.antialias_order, sensor.antialias_hz);
+        for (k, value) in spectrum.iter_mut().enumerate() {
+            let f = k as f64 * passage.sample_rate_hz / padded as f64;
+            let gain = taper(f, USED_BAND_HZ[0], USED_BAND_HZ[1]);
+            *value = if gain > 0.0 { *value * gain / antialias.response(f) } else { c64::new(0.0, 0.0) };
+        }
+        let mut out = Self {
+            rate_hz: passage.sample_rate_hz,
+            len: raw.len(),
+            quiet_rms_m_s2: 0.0,
+            max_m_s2: raw.iter().fold(0.0, |m, a| m.max(a.abs())),
+            padded,
+            spectrum,
+        };
+        let banded = out.filtered(|f| if (Self::NOISE_BAND_HZ[0]..=Self::NOISE_BAND_HZ[1]).contains(&f) { 1.0 } else { 0.0 });
+        let quiet_banded: Vec<f64> = banded[..quiet].iter().chain(&banded[raw.len() - quiet..]).copied().collect();
+        out.quiet_rms_m_s2 = rms(&quiet_banded);
+        out
+    }
+
+    /// Duration, seconds.
+    pub fn duration_s(&self) -> f64 {
+        self.len as f64 / self.rate_hz
+    }
+
+    /// Frequency of spectrum line `k`, Hz.
+    pub fn frequency_hz(&self, k: usize) -> f64 {
+        k as f64 * self.rate_hz / self.padded as f64
+    }
+
+    /// Corrected spectrum (unnormalised transform of the zero-padded acceleration).
+    pub fn spectrum(&self) -> &[c64] {
+        &self.spectrum
+    }
+
+    /// Acceleration at the raw rate after a real gain per frequency, m/s² times the gain's unit.
+    pub fn filtered(&self, gain: impl Fn(f64) -> f64) -> Vec<f64> {
+        let spectrum: Vec<c64> =
+            self.spectrum.iter().enumerate().map(|(k, v)| v * gain(self.frequency_hz(k))).collect();
+        let mut signal = irfft(&spectrum, self.padded);
+        signal.truncate(self.len);
+        signal
+    }
+
+    /// Band-limited acceleration at `window_rate_hz`, `len` samples from `start_s` on (any real time; zero outside the
+    /// recording). Resampling is exact: the time shift is a phase in the spectrum.
+    pub fn window(&self, start_s: f64, window_rate_hz: f64, len: usize, band_hz: [f64; 2]) -> Vec<f64> {
+        self.resampled(start_s, window_rate_hz, len, |f| c64::new(taper(f, band_hz[0], band_hz[1]), 0.0))
+    }
+
+    /// Time derivative of [`Self::window`], m/s³.
+    pub fn window_slope(&self, start_s: f64, window_rate_hz: f64, len: usize, band_hz: [f64; 2]) -> Vec<f64> {
+        self.resampled(start_s, window_rate_hz, len, |f| {
+            c64::new(0.0, std::f64::consts::TAU * f * taper(f, band_hz[0], band_hz[1]))
+        })
+    }
+
+    fn resampled(&self, start_s: f64, window_rate_hz: f64, len: usize, gain: impl Fn(f64) -> c64) -> Vec<f64> {
+        let step = (self.rate_hz / window_rate_hz).round().max(1.0) as usize;
+        let n = self.padded / step;
+        let first = (start_s * window_rate_hz).floor();
+        let shift_s = start_s - first / window_rate_hz;
+        let spectrum: Vec<c64> = (0..=n / 2)
+            .map(|k| {
+                let f = self.frequency_hz(k);
+                let phase = std::f64::consts::TAU * f * shift_s;
+                self.spectrum[k] * c64::new(phase.cos(), phase.sin()) * gain(f)
+            })
+            .collect();
+        let signal = irfft(&spectrum, n);
+        let scale = n as f64 / self.padded as f64;
+        (0..len as i64)
+            .map(|k| usize::try_from(first as i64 + k).ok().and_then(|i| signal.get(i)).map_or(0.0, |v| v * scale))
+            .collect()
+    }
+}
+
+/// Transform length: at least a quarter longer than the recording, divisible by 40 so that the decimated grids of
+/// 1 kHz and 400 Hz fit, and otherwise a power of two for speed.
+fn padded_len(len: usize) -> usize {
+    40 * (len + len / 4).div_ceil(40).next_power_of_two()
+}
+
+/// Speed and axle times of one passage.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Timing {
+    /// Train speed, m/s.
+    pub speed_m_s: f64,
+    /// Time at which the first axle is at x = 0, seconds after the first sample.
+    pub first_axle_s: f64,
+}
+
+impl Timing {
+    /// Time at which an axle `offset_m` behind the first is at x = 0.
+    pub fn axle_s(&self, offset_m: f64) -> f64 {
+        self.first_axle_s + offset_m / self.speed_m_s
+    }
+}

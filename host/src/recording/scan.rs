@@ -1,0 +1,90 @@
+//! `irregularity.csv`: laser scan of the crossing.
+
+use std::path::Path;
+
+use super::files::{read_bytes, write_atomic};
+use super::{RecordingError, Scan};
+
+/// A scan is a few metres long around the nose tip.
+const POSITION_M: f64 = 50.0;
+/// Deepest irregularity of a crossing, metres; 1.4 mm written in mm exceeds it.
+const IRREGULARITY_M: f64 = 0.05;
+/// Largest step between two points, metres: 250 Hz at 50 m/s is a wavelength of 200 mm.
+const SPACING_M: f64 = 0.1;
+const MAX_POINTS: usize = 1_000_000;
+
+/// Reads and checks the scan.
+pub(super) fn read_scan(file: &Path) -> Result<Scan, RecordingError> {
+    parse_scan(file, &read_bytes(file)?)
+}
+
+fn parse_scan(file: &Path, bytes: &[u8]) -> Result<Scan, RecordingError> {
+    let damaged = |e: csv::Error| RecordingError::Damaged { file: file.into(), reason: e.to_string() };
+    let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(bytes);
+    let headers = reader.byte_headers().map_err(damaged)?.clone();
+    let column = |name: &'static str| {
+        headers.iter().position(|h| h == name.as_bytes()).ok_or_else(|| RecordingError::MissingColumn {
+            file: file.into(),
+            column: name,
+            present: headers.iter().map(String::from_utf8_lossy).collect::<Vec<_>>().join(", "),
+        })
+    };
+    let columns = [("position_m", column("position_m")?), ("irregularity_m", column("irregularity_m")?)];
+    let mut scan = Scan { position_m: Vec::new(), irregularity_m: Vec::new() };
+    for (row, record) in reader.byte_records().enumerate() {
+        let record = record.map_err(damaged)?;
+        let cell = |(column, k): (&'static str, usize)| {
+            let text = String::from_utf8_lossy(record.get(k).unwrap_or_default());
+            number(&text).map_err(|fault| RecordingError::Cell { file: file.into(), column, row, fault })
+        };
+        let (x, z) = (cell(columns[0])?, cell(columns[1])?);
+        check_point(&scan, x, z).map_err(|(column, fault)| RecordingError::Cell {
+            file: file.into(),
+            column,
+            row,
+            fault,
+        })?;
+        scan.position_m.push(x);
+        scan.irregularity_m.push(z);
+    }
+    match scan.position_m.len() {
+        0 | 1 => Err(RecordingError::NoRows { file: file.into() }),
+        _ => Ok(scan),
+    }
+}
+
+fn number(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(value) if value.is_finite() => Ok(value),
+        _ => Err(format!("`{text}` is not a finite number")),
+    }
+}
+
+fn check_point(scan: &Scan, x: f64, z: f64) -> Result<(), (&'static str, String)> {
+    if scan.position_m.len() >= MAX_POINTS {
+        return Err(("position_m", format!("more than {MAX_POINTS} points; thin the scan out to 10 mm")));
+    }
+    if x.abs() > POSITION_M {
+        return Err(("position_m", format!("{x} is more than {POSITION_M} m from the nose; is it in mm?")));
+    }
+    if z.abs() > IRREGULARITY_M {
+        return Err(("irregularity_m", format!("{z} is deeper than {IRREGULARITY_M} m; is it in mm?")));
+    }
+    match scan.position_m.last() {
+        Some(&last) if x <= last => Err(("position_m", format!("{x} does not follow {last}; sort the rows"))),
+        Some(&last) if x - last > SPACING_M => Err((
+            "position_m",
+            format!("a gap of {:.3} m after {last}; at most {SPACING_M} m is allowed", x - last),
+        )),
+        _ => Ok(()),
+    }
+}
+
+/// Writes the scan, positions to the micrometre, depths to the nanometre.
+pub(super) fn write_scan(file: &Path, scan: &Scan) -> Result<(), RecordingError> {
+    let mut text = String::from("position_m,irregularity_m\n");
+    for (x, z) in scan.position_m.iter().zip(&scan.irregularity_m) {
+        text.push_str(&format!("{x:.6},{z:.9}\n"));
+    }
+    write_atomic(file, text.as_bytes())
+}

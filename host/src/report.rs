@@ -1,0 +1,77 @@
+//! The report: one HTML file that needs nothing else, and tables for the terminal.
+//!
+//! The page holds no date of its own: the same analysis gives the same bytes.
+
+mod accelerations;
+mod ballast;
+mod displacement;
+mod forces;
+mod headline;
+mod indicator;
+mod irregularity;
+mod page;
+mod peaks;
+mod plot;
+mod tables;
+pub mod text;
+mod traces;
+pub mod verification;
+
+use page::Figure;
+
+use crate::analysis::Analysis;
+
+/// A figure that cannot be drawn.
+#[derive(Debug, thiserror::Error)]
+#[error("a figure of the report cannot be drawn: {reason}")]
+pub struct ReportError {
+    reason: String,
+}
+
+impl ReportError {
+    fn draw(error: impl std::fmt::Display) -> Self {
+        ReportError { reason: error.to_string() }
+    }
+}
+
+/// The report as one HTML document.
+pub fn html(analysis: &Analysis) -> Result<String, ReportError> {
+    let mut body = headline::html(analysis);
+    body.push_str(&tables::skipped(analysis));
+    body.push_str("<h2>Condition</h2>\n");
+    let condition = [
+        indicator::figure(&analysis.indicators)?,
+        forces::figure(analysis)?,
+        peaks::figure(analysis)?,
+        irregularity::figure(analysis)?,
+    ];
+    body.extend(condition.iter().map(Figure::html));
+    body.push_str("<h2>Support and measurement</h2>\n");
+    let mut support = vec![ballast::figure(analysis)?];
+    support.extend(displacement::figures(&analysis.passages, analysis.ballast.misfit)?);
+    support.extend(accelerations::figures(&analysis.passages)?);
+    body.extend(support.iter().map(Figure::html));
+    body.push_str("<h2>Peaks per wheelset</h2>\n");
+    body.push_str(&tables::peaks(analysis));
+    body.push_str(&tables::flags(analysis));
+    body.push_str(&provenance(analysis));
+    Ok(page::document(&format!("{} \u{2013} crossing condition", analysis.crossing.name), &body))
+}
+
+fn provenance(analysis: &Analysis) -> String {
+    let ids: Vec<i32> = analysis.passages.iter().map(|p| p.passage_id).collect();
+    let range = match (ids.iter().min(), ids.iter().max()) {
+        (Some(first), Some(last)) => format!("passages {first}\u{2013}{last}"),
+        _ => "no passages".into(),
+    };
+    format!(
+        "<footer>cpcm {}. Site {}, {range}, recorded at {:.0} Hz with a range of ±{:.0} m/s². Intervals hold 90 %. Forces \
+         and accelerations are low-passed at 250 Hz; vertical quantities are positive downwards; x = 0 is the nose \
+         tip, x grows from the wing rail towards the nose. All numbers: forces.parquet, ballast.csv, \
+         indicators.json, modes.csv.</footer>\n",
+        env!("CARGO_PKG_VERSION"),
+        page::escape(&analysis.crossing.name),
+        analysis.crossing.sensor.sample_rate_hz,
+        analysis.crossing.sensor.range_m_s2,
+    )
+}

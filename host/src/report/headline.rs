@@ -1,0 +1,123 @@
+//! The box on top: condition, urgency, action, and what they rest on.
+
+use crate::analysis::{Analysis, Condition, Interval};
+use crate::recording::{Design, TrafficDirection};
+
+use super::page::escape;
+
+/// Name of the site and the box.
+pub(super) fn html(analysis: &Analysis) -> String {
+    let i = &analysis.indicators;
+    let (class, verdict) = match i.condition {
+        Condition::Healthy => ("healthy", "Healthy"),
+        Condition::Watch => ("watch", "Watch"),
+        Condition::Damaged => ("damaged", "Damaged"),
+    };
+    let facts: String = facts(analysis)
+        .into_iter()
+        .map(|(name, value, detail)| {
+            format!(
+                "<div><dt>{}</dt><dd>{}<small>{}</small></dd></div>\n",
+                escape(name),
+                escape(&value),
+                escape(&detail)
+            )
+        })
+        .collect();
+    format!(
+        "<h1>{}</h1>\n<p class=\"sub\">{}</p>\n<section class=\"headline {class}\">\n\
+         <p class=\"verdict\">{verdict}</p>\n<p class=\"action\"><strong>{}</strong> {}</p>\n\
+         <dl class=\"facts\">\n{facts}</dl>\n</section>\n",
+        escape(&analysis.crossing.name),
+        escape(&subtitle(analysis)),
+        escape(&sentence(&i.urgency)),
+        escape(&sentence(&i.recommended_action)),
+    )
+}
+
+fn subtitle(analysis: &Analysis) -> String {
+    let c = &analysis.crossing;
+    let design = match c.design {
+        Design::Uic60 => "UIC60 (stiff pads)",
+        Design::E60 => "60E (soft pads)",
+    };
+    let direction = match c.traffic_direction {
+        TrafficDirection::Facing => "facing",
+        TrafficDirection::Trailing => "trailing",
+    };
+    let (slow, fast) = speeds_km_h(analysis);
+    let load = c.vehicle.axle_load_kg / 1e3;
+    format!(
+        "Crossing panel {design}, {direction} traffic, {slow:.0}\u{2013}{fast:.0} km/h, {} trains of {load:.1} t axle load",
+        c.vehicle.kind
+    )
+}
+
+fn speeds_km_h(analysis: &Analysis) -> (f64, f64) {
+    let speeds = analysis.passages.iter().map(|p| 3.6 * p.speed_m_s);
+    let (low, high) = speeds.fold((f64::INFINITY, 0.0_f64), |(l, h), v| (l.min(v), h.max(v)));
+    if low.is_finite() { (low, high) } else { (0.0, 0.0) }
+}
+
+fn facts(analysis: &Analysis) -> Vec<(&'static str, String, String)> {
+    let i = &analysis.indicators;
+    let b = &analysis.ballast;
+    let (f, r) = (i.peak_force_n, i.irregularity_rms_m);
+    let wheelsets: usize = analysis.passages.iter().map(|p| p.wheelsets.len()).sum();
+    vec![
+        (
+            "Force peak",
+            format!("{:.0} kN", 1e-3 * f.mean),
+            format!(
+                "middle 80 %: {:.0}\u{2013}{:.0} kN; threshold {:.0} kN",
+                1e-3 * f.p10,
+                1e-3 * f.p90,
+                1e-3 * f.threshold
+            ),
+        ),
+        (
+            "Irregularity RMS",
+            format!("{:.0} µm", 1e6 * r.mean),
+            format!(
+                "middle 80 %: {:.0}\u{2013}{:.0} µm; threshold {:.0} µm",
+                1e6 * r.p10,
+                1e6 * r.p90,
+                1e6 * r.threshold
+            ),
+        ),
+        (
+            "Crossing ballast",
+            format!("{:.1} MN/m²", 1e-6 * b.p2_n_m2.value),
+            format!(
+                "90 %: {}; elsewhere {:.1} ({}); shape p3 {:.2} ({:.2}\u{2013}{:.2})",
+                interval(b.p2_n_m2, 1e-6),
+                1e-6 * b.p1_n_m2.value,
+                interval(b.p1_n_m2, 1e-6),
+                b.p3.value,
+                b.p3.lower,
+                b.p3.upper
+            ),
+        ),
+        (
+            "Passages",
+            format!("{} used, {} left out", analysis.passages.len(), analysis.skipped.len()),
+            format!("{wheelsets} wheelsets"),
+        ),
+    ]
+}
+
+/// The ends of a 90 % interval.
+fn interval(v: Interval, factor: f64) -> String {
+    format!("{:.1}\u{2013}{:.1}", factor * v.lower, factor * v.upper)
+}
+
+/// Capital letter, full stop.
+fn sentence(text: &str) -> String {
+    let mut chars = text.trim().chars();
+    let Some(first) = chars.next() else { return String::new() };
+    let mut out: String = first.to_uppercase().chain(chars).collect();
+    if !out.ends_with(['.', '!', '?']) {
+        out.push('.');
+    }
+    out
+}

@@ -1,0 +1,62 @@
+//! Identified crossing irregularity, against the scan where there is one.
+
+use crate::analysis::Analysis;
+
+use super::page::{Figure, Key};
+use super::plot::{Axis, BLUE, GREY, Layer, ORANGE, Plot, Point, RED, range_of};
+use super::{ReportError, traces};
+
+pub(super) fn figure(analysis: &Analysis) -> Result<Figure, ReportError> {
+    let passages = &analysis.passages;
+    let all: Vec<Vec<Point>> =
+        traces::wheelsets(passages).map(|w| traces::on_grid(w, &w.irregularity_m, 1e3)).collect();
+    let grid = traces::grid_m(passages);
+    let spread = traces::spread(&all, grid.iter().copied());
+    let i = &analysis.indicators;
+    let in_mm = |x: &[f64], z: &[f64]| x.iter().zip(z).map(|(&x, &z)| (x, 1e3 * z)).collect::<Vec<Point>>();
+    let mode = in_mm(&i.position_m, &i.irregularity_mode_m);
+    let scan = analysis.scan.as_ref().map(|s| in_mm(&s.position_m, &s.irregularity_m));
+    let ends = (grid.first().copied().unwrap_or(-1.0), grid.last().copied().unwrap_or(1.0));
+    let range = range_of(all.iter().chain(&scan).flatten().map(|p| p.1), 0.06);
+    let mut layers: Vec<Layer> =
+        all.into_iter().map(|points| Layer::Line { points, color: GREY, opacity: 0.12, width: 2 }).collect();
+    layers.extend([
+        Layer::Band {
+            points: spread.iter().map(|s| (s.x, s.p10, s.p90)).collect(),
+            color: BLUE,
+            opacity: 0.22,
+        },
+        Layer::Line {
+            points: spread.iter().map(|s| (s.x, s.mean)).collect(),
+            color: BLUE,
+            opacity: 1.0,
+            width: 5,
+        },
+        Layer::Dashed { points: mode, color: RED, width: 4 },
+    ]);
+    let mut keys = vec![
+        Key::line("one wheelset", GREY),
+        Key::line("mean", BLUE),
+        Key::band("middle 80 % of the wheelsets", BLUE),
+        Key::dashed("first SVD mode", RED),
+    ];
+    if let Some(points) = scan {
+        layers.push(Layer::Line { points, color: ORANGE, opacity: 1.0, width: 5 });
+        keys.push(Key::line("laser scan, same band (for comparison only)", ORANGE));
+    }
+    let plot = Plot {
+        x: Axis { caption: "position x, m (0 is the nose tip)", range: ends },
+        y: Axis { caption: "irregularity, mm (down)", range },
+        down: true,
+        height: 760,
+        layers,
+    };
+    Ok(Figure {
+        title: "Crossing irregularity".into(),
+        caption: "Vertical path of the wheel over the crossing as the wheel feels it, wavelengths from 1 m down to \
+                  the limit of 250 Hz."
+            .into(),
+        keys,
+        svg: plot.svg("crossing irregularity over position for all wheelsets")?,
+    })
+}

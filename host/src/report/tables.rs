@@ -1,0 +1,88 @@
+//! Tables of the report.
+
+use std::collections::BTreeSet;
+
+use crate::analysis::{Analysis, WheelsetResult};
+
+use super::page::escape;
+
+/// Passages left out, each with its reason; empty when there are none.
+pub(super) fn skipped(analysis: &Analysis) -> String {
+    if analysis.skipped.is_empty() {
+        return String::new();
+    }
+    let row = |s: &crate::recording::Skipped| {
+        let id = s.passage_id.map_or("?".into(), |id| id.to_string());
+        format!("<tr><td>{id}</td><td>{}</td><td class=\"text\">{}</td></tr>\n", s.row, escape(&s.reason))
+    };
+    let rows: String = analysis.skipped.iter().map(row).collect();
+    format!(
+        "<h2>Passages left out</h2>\n<div class=\"scroll\"><table>\n<thead><tr><th>passage</th><th>row</th>\
+         <th style=\"text-align:left\">reason</th></tr></thead>\n<tbody>\n{rows}</tbody></table></div>\n"
+    )
+}
+
+/// Force peak of every wheelset: one row per passage, one column per wheelset.
+pub(super) fn peaks(analysis: &Analysis) -> String {
+    let wheelsets: BTreeSet<usize> =
+        analysis.passages.iter().flat_map(|p| &p.wheelsets).map(|w| w.wheelset).collect();
+    let head: String = wheelsets.iter().map(|w| format!("<th>{w}</th>")).collect();
+    let threshold = analysis.indicators.peak_force_n.threshold;
+    let mut rows = String::new();
+    for p in &analysis.passages {
+        let cell = |k: &usize| match p.wheelsets.iter().find(|w| w.wheelset == *k) {
+            Some(w) => peak_cell(w, threshold),
+            None => "<td></td>".into(),
+        };
+        let cells: String = wheelsets.iter().map(cell).collect();
+        rows.push_str(&format!(
+            "<tr><th>{}</th><td>{:.1}</td><td>{:.0}</td>{cells}</tr>\n",
+            p.passage_id,
+            3.6 * p.speed_m_s,
+            p.temperature_c
+        ));
+    }
+    format!(
+        "<div class=\"scroll\"><table>\n<caption>Peak contact force in kN, with half the width of its 90 % interval, per \
+         wheelset (0 is the first axle). Red: above the threshold. Asterisk: flagged, see below.</caption>\n\
+         <thead><tr><th>passage</th><th>speed<br><small>km/h</small></th><th>temp.<br><small>°C</small></th>{head}\
+         </tr></thead>\n<tbody>\n{rows}</tbody></table></div>\n"
+    )
+}
+
+fn peak_cell(w: &WheelsetResult, threshold: f64) -> String {
+    let peak = w.peak_force_n;
+    let class = if peak.value > threshold { " class=\"over\"" } else { "" };
+    let mark = if w.flags.is_empty() { "" } else { "*" };
+    let half = 0.5e-3 * (peak.upper - peak.lower);
+    format!("<td{class}>{:.0}{mark} <small>±{half:.0}</small></td>", 1e-3 * peak.value)
+}
+
+/// Flags by kind, with the passages and wheelsets they concern; empty when there are none.
+pub(super) fn flags(analysis: &Analysis) -> String {
+    let all = || analysis.passages.iter().flat_map(|p| p.wheelsets.iter().map(move |w| (p.passage_id, w)));
+    let names: BTreeSet<&str> = all().flat_map(|(_, w)| w.flags.iter().map(String::as_str)).collect();
+    if names.is_empty() {
+        return String::new();
+    }
+    let row = |name: &&str| {
+        let hits: Vec<(i32, usize)> = all()
+            .filter(|(_, w)| w.flags.iter().any(|f| f == name))
+            .map(|(id, w)| (id, w.wheelset))
+            .collect();
+        let passages: BTreeSet<i32> = hits.iter().map(|h| h.0).collect();
+        let list: Vec<String> = passages.iter().map(i32::to_string).collect();
+        format!(
+            "<tr><td class=\"text\">{}</td><td>{}</td><td class=\"text\">{}</td></tr>\n",
+            escape(name),
+            hits.len(),
+            list.join(", ")
+        )
+    };
+    let rows: String = names.iter().map(row).collect();
+    format!(
+        "<div class=\"scroll\"><table>\n<caption>Limits of the method that results touch.</caption>\n<thead><tr>\
+         <th style=\"text-align:left\">flag</th><th>wheelsets</th><th style=\"text-align:left\">in passages</th></tr>\
+         </thead>\n<tbody>\n{rows}</tbody></table></div>\n"
+    )
+}

@@ -1,0 +1,119 @@
+//! `indicators.json` and `modes.csv`.
+
+use serde::Serialize;
+
+use crate::analysis::{Analysis, Condition, Indicators, Interval, Spread};
+
+#[derive(Serialize)]
+struct File<'a> {
+    site: &'a str,
+    cpcm_version: &'static str,
+    condition: Condition,
+    urgency: &'a str,
+    recommended_action: &'a str,
+    peak_force_n: Indicator,
+    irregularity_rms_m: Indicator,
+    ballast: Ballast,
+    passages: Passages<'a>,
+}
+
+#[derive(Serialize)]
+struct Indicator {
+    mean: f64,
+    range80: [f64; 2],
+    threshold: f64,
+    first_svd_mode: Mode,
+}
+
+#[derive(Serialize)]
+struct Mode {
+    file: &'static str,
+    column: &'static str,
+}
+
+#[derive(Serialize)]
+struct Ballast {
+    p1_n_m2: IntervalJson,
+    p2_n_m2: IntervalJson,
+    p3: IntervalJson,
+    misfit: f64,
+}
+
+/// A value with its 90 % interval.
+#[derive(Serialize)]
+struct IntervalJson {
+    value: f64,
+    lower: f64,
+    upper: f64,
+}
+
+#[derive(Serialize)]
+struct Passages<'a> {
+    used: usize,
+    wheelsets: usize,
+    skipped: Vec<SkippedJson<'a>>,
+}
+
+#[derive(Serialize)]
+struct SkippedJson<'a> {
+    passage_id: Option<i32>,
+    row: usize,
+    reason: &'a str,
+}
+
+impl From<Interval> for IntervalJson {
+    fn from(i: Interval) -> Self {
+        IntervalJson { value: i.value, lower: i.lower, upper: i.upper }
+    }
+}
+
+fn indicator(spread: Spread, column: &'static str) -> Indicator {
+    Indicator {
+        mean: spread.mean,
+        range80: [spread.p10, spread.p90],
+        threshold: spread.threshold,
+        first_svd_mode: Mode { file: "modes.csv", column },
+    }
+}
+
+/// The text of `indicators.json`.
+pub(super) fn json(analysis: &Analysis) -> String {
+    let (i, b) = (&analysis.indicators, &analysis.ballast);
+    let skipped = analysis
+        .skipped
+        .iter()
+        .map(|s| SkippedJson { passage_id: s.passage_id, row: s.row, reason: &s.reason })
+        .collect();
+    let file = File {
+        site: &analysis.crossing.name,
+        cpcm_version: env!("CARGO_PKG_VERSION"),
+        condition: i.condition,
+        urgency: &i.urgency,
+        recommended_action: &i.recommended_action,
+        peak_force_n: indicator(i.peak_force_n, "force_mode_n"),
+        irregularity_rms_m: indicator(i.irregularity_rms_m, "irregularity_mode_m"),
+        ballast: Ballast {
+            p1_n_m2: b.p1_n_m2.into(),
+            p2_n_m2: b.p2_n_m2.into(),
+            p3: b.p3.into(),
+            misfit: b.misfit,
+        },
+        passages: Passages {
+            used: analysis.passages.len(),
+            wheelsets: analysis.passages.iter().map(|p| p.wheelsets.len()).sum(),
+            skipped,
+        },
+    };
+    // Numbers and strings only: serde_json writes NaN as null and has nothing else to refuse.
+    serde_json::to_string_pretty(&file).unwrap_or_default() + "\n"
+}
+
+/// First SVD modes on their common grid.
+pub(super) fn modes_csv(indicators: &Indicators) -> String {
+    let mut text = String::from("position_m,force_mode_n,irregularity_mode_m\n");
+    let modes = indicators.force_mode_n.iter().zip(&indicators.irregularity_mode_m);
+    for (x, (f, z)) in indicators.position_m.iter().zip(modes) {
+        text.push_str(&format!("{x:.6},{f},{z}\n"));
+    }
+    text
+}

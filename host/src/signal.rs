@@ -1,0 +1,103 @@
+//! Spectra, filters and interpolation shared by all stages.
+
+mod bessel;
+mod filter;
+mod spline;
+
+pub use bessel::AntiAlias;
+pub use filter::{brick_band, taper};
+pub use spline::CubicSpline;
+
+use faer::c64;
+use realfft::RealFftPlanner;
+
+/// One-sided spectrum of a real signal (unnormalised forward transform): `n/2 + 1` values.
+pub fn rfft(signal: &[f64]) -> Vec<c64> {
+    if signal.is_empty() {
+        return Vec::new();
+    }
+    let plan = RealFftPlanner::<f64>::new().plan_fft_forward(signal.len());
+    let mut input = signal.to_vec();
+    let mut spectrum = plan.make_output_vec();
+    // The lengths come from the plan itself, so the transform cannot refuse them.
+    let _ = plan.process(&mut input, &mut spectrum);
+    spectrum
+}
+
+/// Inverse of [`rfft`]: `n` real samples, normalised by 1/n.
+///
+/// The imaginary parts of the first and (even `n`) last value are dropped, as they must be zero for a real signal.
+pub fn irfft(spectrum: &[c64], n: usize) -> Vec<f64> {
+    if n == 0 {
+        return Vec::new();
+    }
+    let plan = RealFftPlanner::<f64>::new().plan_fft_inverse(n);
+    let mut input = plan.make_input_vec();
+    let shared = input.len().min(spectrum.len());
+    input[..shared].copy_from_slice(&spectrum[..shared]);
+    input[0].im = 0.0;
+    if n.is_multiple_of(2)
+        && let Some(last) = input.last_mut()
+    {
+        last.im = 0.0;
+    }
+    let mut output = plan.make_output_vec();
+    let _ = plan.process(&mut input, &mut output);
+    for value in &mut output {
+        *value /= n as f64;
+    }
+    output
+}
+
+/// Frequencies of [`rfft`] for `n` samples at `rate_hz`.
+pub fn rfft_frequencies_hz(n: usize, rate_hz: f64) -> Vec<f64> {
+    (0..=n / 2).map(|k| k as f64 * rate_hz / n as f64).collect()
+}
+
+/// Root mean square; 0 for an empty slice.
+pub fn rms(values: &[f64]) -> f64 {
+    if values.is_empty() {
+        return 0.0;
+    }
+    (values.iter().map(|v| v * v).sum::<f64>() / values.len() as f64).sqrt()
+}
+
+/// Arithmetic mean; 0 for an empty slice.
+pub fn mean(values: &[f64]) -> f64 {
+    if values.is_empty() { 0.0 } else { values.iter().sum::<f64>() / values.len() as f64 }
+}
+
+/// Quantile `q` in 0 … 1 by linear interpolation between order statistics; NaN for an empty slice.
+pub fn quantile(values: &[f64], q: f64) -> f64 {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    let Some(last) = sorted.len().checked_sub(1) else { return f64::NAN };
+    let position = q.clamp(0.0, 1.0) * last as f64;
+    let low = position.floor() as usize;
+    let high = (low + 1).min(last);
+    sorted[low] + (sorted[high] - sorted[low]) * (position - low as f64)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn property_inverse_undoes_forward_for_even_and_odd_lengths() {
+        for n in [1usize, 2, 7, 64, 375] {
+            let signal: Vec<f64> = (0..n).map(|i| (i as f64 * 0.7).sin() + 0.1 * i as f64).collect();
+            let back = irfft(&rfft(&signal), n);
+            for (a, b) in signal.iter().zip(&back) {
+                assert!((a - b).abs() < 1e-10, "n {n}: {a} {b}");
+            }
+        }
+    }
+
+    #[test]
+    fn analytic_quantiles_of_a_ramp() {
+        let ramp: Vec<f64> = (0..=10).map(f64::from).collect();
+        assert_eq!(quantile(&ramp, 0.9), 9.0);
+        assert_eq!(quantile(&ramp, 0.55), 5.5);
+        assert!(quantile(&[], 0.5).is_nan());
+    }
+}

@@ -1,0 +1,307 @@
+//! Finite-element track: two Timoshenko rails on pads, sleeper beams and ballast; receptances in the frequency
+//! domain by direct solution of the block-tridiagonal system (paper, section 3).
+//!
+//! Time factor e^{+iωt}; displacement and force positive downwards.
+
+mod block;
+mod sleeper;
+
+use faer::c64;
+use rayon::prelude::*;
+
+use crate::beam;
+use crate::recording::Crossing;
+use crate::section::BeamSection;
+use block::{Block, Factor, ZERO, invert};
+pub use sleeper::{Sleeper, SleeperBeam, SleeperLayout};
+
+/// Element lengths of the mesh, metres.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Mesh {
+    /// Rail element; rounded so that a sleeper bay holds a whole number of elements.
+    pub rail_step_m: f64,
+    /// Sleeper element.
+    pub sleeper_step_m: f64,
+}
+
+impl Default for Mesh {
+    /// The paper's mesh: 0.3 m along the rails, 0.25 m along the sleepers.
+    fn default() -> Self {
+        Self { rail_step_m: 0.3, sleeper_step_m: 0.25 }
+    }
+}
+
+/// Which rail.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Side {
+    /// The rail that carries the crossing.
+    Crossing,
+    /// The other rail.
+    Stock,
+}
+
+/// Linear Kelvin element.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[allow(missing_docs)]
+pub struct Kelvin {
+    pub stiffness: f64,
+    pub damping: f64,
+}
+
+impl Kelvin {
+    /// Complex stiffness at angular frequency `omega`.
+    pub fn dynamic(&self, omega: f64) -> c64 {
+        c64::new(self.stiffness, omega * self.damping)
+    }
+}
+
+/// Track with everything but the ballast stiffness fixed.
+#[derive(Clone, Debug)]
+pub struct Track {
+    /// Rail node positions, metres, equidistant.
+    pub node_x_m: Vec<f64>,
+    /// Sleeper positions, metres.
+    pub sleeper_x_m: Vec<f64>,
+    /// Rail element length, metres.
+    pub step_m: f64,
+    /// Plain rail and crossing part.
+    pub plain: BeamSection,
+    /// Section of the crossing rail between `crossing_part_m`.
+    pub crossing_rail: BeamSection,
+    /// Extent of the crossing part, metres.
+    pub crossing_part_m: [f64; 2],
+    /// Stiffness-proportional damping of the rails, s.
+    pub rail_damping_s: f64,
+    /// Rail pads, per seat, N/m and Ns/m.
+    pub pad: Kelvin,
+    /// Sleeper type, the same everywhere.
+    pub sleeper: Sleeper,
+    /// Ballast damping, Ns/m per metre of sleeper.
+    pub ballast_damping_ns_m2: f64,
+    /// Index of the instrumented sleeper.
+    pub sensor_sleeper: usize,
+    nodes_per_bay: usize,
+}
+
+/// Displacement at the sensor per force on the rails, for every rail node: `[deflection, rotation]` degrees of
+/// freedom, i.e. per vertical force (m/N) and per moment (m/(N m)).
+pub struct SensorReceptance {
+    /// Frequencies, Hz.
+    pub frequency_hz: Vec<f64>,
+    /// `[frequency][node]`, crossing rail.
+    pub crossing: Vec<Vec<[c64; 2]>>,
+    /// `[frequency][node]`, stock rail.
+    pub stock: Vec<Vec<[c64; 2]>>,
+}
+
+impl Track {
+    /// Track of a site with its nominal design values.
+    pub fn of_crossing(crossing: &Crossing, mesh: Mesh) -> Self {
+        let (layout, s) = (&crossing.track, &crossing.sleeper);
+        let first = crossing.track.crossing_sleeper_x_m
+            - layout.crossing_sleeper_index as f64 * layout.sleeper_spacing_m;
+        let sleeper_layout = SleeperLayout {
+            length_m: s.length_m,
+            seat_crossing_y_m: s.seat_crossing_y_m,
+            seat_stock_y_m: s.seat_stock_y_m,
+            sensor_y_m: crossing.sensor.y_m,
+        };
+        let beam = SleeperBeam::new(
+            BeamSection::sleeper(s),
+            s.damping_stiffness_proportional_s,
+            sleeper_layout,
+            mesh.sleeper_step_m,
+        );
+        let nodes_per_bay = (layout.sleeper_spacing_m / mesh.rail_step_m).round().max(1.0) as usize;
+        let step_m = layout.sleeper_spacing_m / nodes_per_bay as f64;
+        let n_nodes = layout.n_sleepers.saturating_sub(1) * nodes_per_bay + 1;
+        Self {
+            node_x_m: (0..n_nodes).map(|i| first + i as f64 * step_m).collect(),
+            sleeper_x_m: (0..layout.n_sleepers).map(|i| first + i as f64 * layout.sleeper_spacing_m).collect(),
+            step_m,
+            plain: BeamSection::plain_rail(&crossing.rail),
+            crossing_rail: BeamSection::crossing_rail(&crossing.rail),
+            crossing_part_m: [crossing.rail.crossing_part_x0_m, crossing.rail.crossing_part_x1_m],
+            rail_damping_s: crossing.rail.damping_stiffness_proportional_s,
+            pad: Kelvin { stiffness: crossing.pad.stiffness_n_m, damping: crossing.pad.damping_ns_m },
+            sleeper: Sleeper::Beam(beam),
+            ballast_damping_ns_m2: crossing.ballast.damping_ns_m2,
+            sensor_sleeper: crossing.sensor.sleeper_index,
+            nodes_per_bay,
+        }
+    }
+
+    /// Rail node above a sleeper.
+    pub fn seat_node(&self, sleeper: usize) -> usize {
+        sleeper * self.nodes_per_bay
+    }
+
+    /// Section of element `e` of a rail.
+    pub fn element_section(&self, side: Side, e: usize) -> &BeamSection {
+        let middle = self.node_x_m[e] + 0.5 * self.step_m;
+        let inside = middle > self.crossing_part_m[0] && middle < self.crossing_part_m[1];
+        if side == Side::Crossing && inside { &self.crossing_rail } else { &self.plain }
+    }
+
+    /// Receptance between the sensor and all rail nodes, by reciprocity from one unit force at the sensor.
+    /// `ballast_n_m2`: stiffness per sleeper.
+    pub fn sensor_receptance(&self, frequency_hz: &[f64], ballast_n_m2: &[f64]) -> SensorReceptance {
+        let rows: Vec<(Vec<[c64; 2]>, Vec<[c64; 2]>)> = frequency_hz
+            .par_iter()
+            .map(|f| {
+                let system = self.system(std::f64::consts::TAU * f, ballast_n_m2);
+                let mut x = vec![[ZERO; 4]; self.node_x_m.len()];
+                let seat = self.seat_node(self.sensor_sleeper);
+                x[seat][0] = system.sensor_load[0];
+                x[seat][2] = system.sensor_load[1];
+                system.factor.solve(&mut x);
+                (x.iter().map(|v| [v[0], v[1]]).collect(), x.iter().map(|v| [v[2], v[3]]).collect())
+            })
+            .collect();
+        let (crossing, stock) = rows.into_iter().unzip();
+        SensorReceptance { frequency_hz: frequency_hz.to_vec(), crossing, stock }
+    }
+
+    /// Receptance at the sensor to a force on both rails at once, on a grid of `step_m` along the whole track: nodal
+    /// values of one frequency, interpolated by the shape functions.
+    pub fn both_rails_on_grid(&self, crossing: &[[c64; 2]], stock: &[[c64; 2]], step_m: f64) -> Vec<c64> {
+        let last = self.node_x_m.len() - 1;
+        let count = (last as f64 * self.step_m / step_m + 1e-9).floor() as usize + 1;
+        (0..count)
+            .map(|i| {
+                let position = i as f64 * step_m / self.step_m;
+                let e = (position as usize).min(last - 1);
+                let mut sum = ZERO;
+                for (side, nodal) in [(Side::Crossing, crossing), (Side::Stock, stock)] {
+                    let phi = beam::shear_ratio(self.element_section(side, e), self.step_m);
+                    let n = beam::shape(phi, self.step_m, position - e as f64);
+                    sum += nodal[e][0] * n[0] + nodal[e][1] * n[1] + nodal[e + 1][0] * n[2] + nodal[e + 1][1] * n[3];
+                }
+                sum
+            })
+            .collect()
+    }
+
+    /// Deflection of the rail nodes `read` of one rail per unit vertical force on each of the nodes `loaded` of the
+    /// same rail: `[frequency][loaded][read]`, m/N.
+    pub fn rail_receptance(
+        &self,
+        frequency_hz: &[f64],
+        ballast_n_m2: &[f64],
+        side: Side,
+        loaded: &[usize],
+        read: &[usize],
+    ) -> Vec<Vec<Vec<c64>>> {
+        let dof = if side == Side::Crossing { 0 } else { 2 };
+        frequency_hz
+            .par_iter()
+            .map(|f| {
+                let system = self.system(std::f64::consts::TAU * f, ballast_n_m2);
+                let column = |node: &usize| {
+                    let mut x = vec![[ZERO; 4]; self.node_x_m.len()];
+                    x[*node][dof] = c64::new(1.0, 0.0);
+                    system.factor.solve(&mut x);
+                    read.iter().map(|r| x[*r][dof]).collect()
+                };
+                loaded.iter().map(column).collect()
+            })
+            .collect()
+    }
+
+    /// Receptance at the sensor itself (force and displacement there), m/N.
+    pub fn sensor_point_receptance(&self, frequency_hz: &[f64], ballast_n_m2: &[f64]) -> Vec<c64> {
+        let seat = self.seat_node(self.sensor_sleeper);
+        frequency_hz
+            .iter()
+            .map(|f| {
+                let system = self.system(std::f64::consts::TAU * f, ballast_n_m2);
+                let mut x = vec![[ZERO; 4]; self.node_x_m.len()];
+                x[seat][0] = system.sensor_load[0];
+                x[seat][2] = system.sensor_load[1];
+                system.factor.solve(&mut x);
+                system.sensor_free + system.sensor_load[0] * x[seat][0] + system.sensor_load[1] * x[seat][2]
+            })
+            .collect()
+    }
+
+    /// Assembles and factorises the rails with the condensed sleepers at one angular frequency.
+    fn system(&self, omega: f64, ballast_n_m2: &[f64]) -> System {
+        let (mut diagonal, upper) = self.rails(omega);
+        let mut known: Vec<(f64, CondensedSleeper)> = Vec::new();
+        let (mut sensor_load, mut sensor_free) = ([ZERO; 2], ZERO);
+        for (sleeper, stiffness) in ballast_n_m2.iter().enumerate().take(self.sleeper_x_m.len()) {
+            let condensed = match known.iter().find(|(k, _)| k == stiffness) {
+                Some((_, c)) => *c,
+                None => {
+                    let c = self.condense(omega, *stiffness);
+                    known.push((*stiffness, c));
+                    c
+                }
+            };
+            let node = self.seat_node(sleeper);
+            for (i, row) in condensed.seat_stiffness.iter().enumerate() {
+                for (j, value) in row.iter().enumerate() {
+                    diagonal[node][2 * i][2 * j] += value;
+                }
+            }
+            if sleeper == self.sensor_sleeper {
+                sensor_load = condensed.sensor_load;
+                sensor_free = condensed.sensor_free;
+            }
+        }
+        System { factor: Factor::new(diagonal, &upper), sensor_load, sensor_free }
+    }
+
+    /// Dynamic stiffness of the two free rails.
+    fn rails(&self, omega: f64) -> (Vec<Block<4>>, Vec<Block<4>>) {
+        let n = self.node_x_m.len();
+        let dynamic = |section: &BeamSection| -> [[c64; 4]; 4] {
+            let (k, m) = (beam::stiffness(section, self.step_m), beam::mass(section, self.step_m));
+            let elastic = c64::new(1.0, omega * self.rail_damping_s);
+            std::array::from_fn(|i| std::array::from_fn(|j| elastic * k[i][j] - omega * omega * m[i][j]))
+        };
+        let (plain, crossing) = (dynamic(&self.plain), dynamic(&self.crossing_rail));
+        let mut diagonal: Vec<Block<4>> = vec![[[ZERO; 4]; 4]; n];
+        let mut upper: Vec<Block<4>> = vec![[[ZERO; 4]; 4]; n.saturating_sub(1)];
+        for e in 0..n.saturating_sub(1) {
+            for (rail, side) in [(0, Side::Crossing), (1, Side::Stock)] {
+                let d = if std::ptr::eq(self.element_section(side, e), &self.plain) { &plain } else { &crossing };
+                for i in 0..2 {
+                    for j in 0..2 {
+                        diagonal[e][2 * rail + i][2 * rail + j] += d[i][j];
+                        diagonal[e + 1][2 * rail + i][2 * rail + j] += d[i + 2][j + 2];
+                        upper[e][2 * rail + i][2 * rail + j] += d[i][j + 2];
+                    }
+                }
+            }
+        }
+        (diagonal, upper)
+    }
+
+    /// Sleeper with pads, seen from the two rails.
+    fn condense(&self, omega: f64, ballast_n_m2: f64) -> CondensedSleeper {
+        let ballast = c64::new(ballast_n_m2, omega * self.ballast_damping_ns_m2);
+        let c = self.sleeper.compliance(omega, ballast);
+        let pad = c64::new(1.0, 0.0) / self.pad.dynamic(omega);
+        let seat_stiffness = invert([[c[0][0] + pad, c[0][1]], [c[1][0], c[1][1] + pad]]);
+        let sensor_load = std::array::from_fn(|i| seat_stiffness[i][0] * c[0][2] + seat_stiffness[i][1] * c[1][2]);
+        let sensor_free = c[2][2] - c[2][0] * sensor_load[0] - c[2][1] * sensor_load[1];
+        CondensedSleeper { seat_stiffness, sensor_load, sensor_free }
+    }
+}
+
+#[derive(Clone, Copy)]
+struct CondensedSleeper {
+    /// Force on the rails per rail deflection at the seats, N/m.
+    seat_stiffness: [[c64; 2]; 2],
+    /// Forces on the two rails (held still) per unit force at the sensor; by reciprocity the sensor's motion per rail deflection.
+    sensor_load: [c64; 2],
+    /// Compliance at the sensor with both rails held still, m/N.
+    sensor_free: c64,
+}
+
+struct System {
+    factor: Factor<4>,
+    sensor_load: [c64; 2],
+    sensor_free: c64,
+}

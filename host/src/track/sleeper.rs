@@ -1,0 +1,113 @@
+//! A sleeper on ballast, condensed to the two rail seats and the sensor.
+
+use faer::c64;
+
+use super::block::{Block, Factor, ZERO};
+use crate::beam;
+use crate::section::BeamSection;
+
+/// What supports the rails at a sleeper.
+#[derive(Clone, Debug)]
+pub enum Sleeper {
+    /// Timoshenko beam across both rails.
+    Beam(SleeperBeam),
+    /// Two rigid half sleepers that do not interact, as in one-rail benchmark models.
+    RigidHalves {
+        /// Mass of each half, kg.
+        mass_kg: f64,
+        /// Supported length of each half, metres.
+        length_m: f64,
+    },
+}
+
+/// Finite-element beam along the sleeper, on a Winkler bed.
+#[derive(Clone, Debug)]
+pub struct SleeperBeam {
+    section: BeamSection,
+    damping_stiffness_proportional_s: f64,
+    /// Node positions along the sleeper, metres.
+    y_m: Vec<f64>,
+    crossing_seat: usize,
+    stock_seat: usize,
+    sensor: usize,
+}
+
+/// Where things sit on a sleeper, metres from its end beyond the stock rail.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[allow(missing_docs)]
+pub struct SleeperLayout {
+    pub length_m: f64,
+    pub seat_crossing_y_m: f64,
+    pub seat_stock_y_m: f64,
+    pub sensor_y_m: f64,
+}
+
+/// Compliance between crossing seat, stock seat and sensor, m/N, symmetric.
+pub type Compliance = [[c64; 3]; 3];
+
+impl SleeperBeam {
+    /// Nodes at the ends, seats and sensor, with elements of about `step_m` between them.
+    pub fn new(section: BeamSection, damping_stiffness_proportional_s: f64, layout: SleeperLayout, step_m: f64) -> Self {
+        let mut fixed = vec![0.0, layout.seat_stock_y_m, layout.seat_crossing_y_m, layout.sensor_y_m, layout.length_m];
+        fixed.sort_by(f64::total_cmp);
+        fixed.dedup_by(|a, b| (*a - *b).abs() < 1e-9);
+        let mut y_m = vec![fixed[0]];
+        for pair in fixed.windows(2) {
+            let parts = ((pair[1] - pair[0]) / step_m).round().max(1.0) as usize;
+            y_m.extend((1..=parts).map(|k| pair[0] + (pair[1] - pair[0]) * k as f64 / parts as f64));
+        }
+        let nearest = |y: f64| {
+            (0..y_m.len()).min_by(|a, b| (y_m[*a] - y).abs().total_cmp(&(y_m[*b] - y).abs())).unwrap_or(0)
+        };
+        let (crossing_seat, stock_seat, sensor) =
+            (nearest(layout.seat_crossing_y_m), nearest(layout.seat_stock_y_m), nearest(layout.sensor_y_m));
+        Self { section, damping_stiffness_proportional_s, y_m, crossing_seat, stock_seat, sensor }
+    }
+
+    /// Compliance at angular frequency `omega` on ballast of `stiffness` (complex, N/m per metre of sleeper).
+    fn compliance(&self, omega: f64, stiffness: c64) -> Compliance {
+        let n = self.y_m.len();
+        let mut diagonal: Vec<Block<2>> = vec![[[ZERO; 2]; 2]; n];
+        let mut upper: Vec<Block<2>> = Vec::with_capacity(n - 1);
+        let elastic = c64::new(1.0, omega * self.damping_stiffness_proportional_s);
+        for e in 0..n - 1 {
+            let length = self.y_m[e + 1] - self.y_m[e];
+            let (k, m) = (beam::stiffness(&self.section, length), beam::mass(&self.section, length));
+            let d: [[c64; 4]; 4] =
+                std::array::from_fn(|i| std::array::from_fn(|j| elastic * k[i][j] - omega * omega * m[i][j]));
+            for i in 0..2 {
+                for j in 0..2 {
+                    diagonal[e][i][j] += d[i][j];
+                    diagonal[e + 1][i][j] += d[i + 2][j + 2];
+                }
+            }
+            diagonal[e][0][0] += stiffness * (length / 2.0);
+            diagonal[e + 1][0][0] += stiffness * (length / 2.0);
+            upper.push([[d[0][2], d[0][3]], [d[1][2], d[1][3]]]);
+        }
+        let factor = Factor::new(diagonal, &upper);
+        let points = [self.crossing_seat, self.stock_seat, self.sensor];
+        let columns = points.map(|loaded| {
+            let mut rhs = vec![[ZERO; 2]; n];
+            rhs[loaded][0] = c64::new(1.0, 0.0);
+            factor.solve(&mut rhs);
+            points.map(|read| rhs[read][0])
+        });
+        std::array::from_fn(|i| std::array::from_fn(|j| columns[j][i]))
+    }
+}
+
+impl Sleeper {
+    /// Compliance between crossing seat, stock seat and sensor at angular frequency `omega`;
+    /// `ballast` is the complex ballast stiffness per metre of sleeper.
+    pub fn compliance(&self, omega: f64, ballast: c64) -> Compliance {
+        match self {
+            Sleeper::Beam(beam) => beam.compliance(omega, ballast),
+            Sleeper::RigidHalves { mass_kg, length_m } => {
+                let c = c64::new(1.0, 0.0) / (ballast * *length_m - omega * omega * mass_kg);
+                // The sensor sits on the crossing-side half.
+                [[c, ZERO, c], [ZERO, c, ZERO], [c, ZERO, c]]
+            }
+        }
+    }
+}

@@ -1,0 +1,42 @@
+//! The report as a file: complete, self-contained, the same every time.
+
+use std::path::Path;
+
+use cpcm::report;
+use cpcm_tests::sample::sample_analysis;
+
+/// Also leaves the page in the target directory, for a look with a browser.
+#[test]
+fn regress_page_is_self_contained_and_reproducible() {
+    let analysis = sample_analysis();
+    let page = report::html(&analysis).unwrap();
+    assert_eq!(page, report::html(&analysis).unwrap());
+    std::fs::write(Path::new(env!("CARGO_TARGET_TMPDIR")).join("report.html"), &page).unwrap();
+    for forbidden in ["<script", "src=", "href=", "@import", "url("] {
+        assert!(!page.contains(forbidden), "{forbidden}");
+    }
+    // The only address in the page is the name of the SVG namespace.
+    let addresses = page.matches("http").count();
+    assert_eq!(addresses, page.matches("http://www.w3.org/2000/svg").count());
+    assert_eq!(page.matches("<svg").count(), 9);
+    // A phone on a slow link still loads it.
+    assert!(page.len() < 4_000_000, "{} bytes", page.len());
+}
+
+#[test]
+fn regress_page_of_an_empty_analysis_is_drawn() {
+    let mut analysis = sample_analysis();
+    analysis.passages.clear();
+    analysis.scan = None;
+    assert!(report::html(&analysis).is_ok());
+}
+
+#[test]
+fn regress_page_with_missing_numbers_is_drawn() {
+    let mut analysis = sample_analysis();
+    analysis.passages[0].wheelsets[0].contact_force_n.fill(f64::NAN);
+    analysis.passages[1].speed_m_s = f64::NAN;
+    analysis.passages[2].axle_times_s.clear();
+    analysis.indicators.peak_force_n.threshold = 0.0;
+    assert!(report::html(&analysis).is_ok());
+}

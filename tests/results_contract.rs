@@ -1,0 +1,148 @@
+//! The files of `analyse`: names, types and values as outside tools rely on them.
+
+use std::path::Path;
+
+use arrow_array::RecordBatch;
+use arrow_array::cast::AsArray;
+use arrow_array::types::{Float64Type, Int32Type};
+use cpcm::analysis::Analysis;
+use cpcm::results::{ResultsError, read_forces, write_results};
+use cpcm_tests::sample::sample_analysis;
+use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
+use tempfile::TempDir;
+
+fn written() -> (TempDir, Analysis) {
+    let dir = tempfile::tempdir().unwrap();
+    let analysis = sample_analysis();
+    write_results(&dir.path().join("new/results"), &analysis).unwrap();
+    (dir, analysis)
+}
+
+fn batches(file: &Path) -> Vec<RecordBatch> {
+    let file = std::fs::File::open(file).unwrap();
+    ParquetRecordBatchReaderBuilder::try_new(file).unwrap().build().unwrap().map(Result::unwrap).collect()
+}
+
+#[test]
+fn reference_schema_of_forces() {
+    let (dir, analysis) = written();
+    let batches = batches(&dir.path().join("new/results/forces.parquet"));
+    let schema = batches[0].schema();
+    let columns: Vec<(String, String)> =
+        schema.fields().iter().map(|f| (f.name().clone(), f.data_type().to_string())).collect();
+    let list = |item: &str| match schema.field_with_name("position_m").unwrap().data_type() {
+        arrow_schema::DataType::List(_) => item.to_string(),
+        other => panic!("{other}"),
+    };
+    let expected = [
+        ("passage_id", "Int32"),
+        ("wheelset", "Int32"),
+        ("speed_m_s", "Float64"),
+        ("position_m", "List(Float64)"),
+        ("contact_force_n", "List(Float64)"),
+        ("lower_n", "List(Float64)"),
+        ("upper_n", "List(Float64)"),
+        ("peak_force_n", "Float64"),
+        ("peak_position_m", "Float64"),
+        ("peak_lower_n", "Float64"),
+        ("peak_upper_n", "Float64"),
+        ("irregularity_m", "List(Float64)"),
+        ("irregularity_rms_m", "Float64"),
+        ("flags", "List(Utf8)"),
+    ];
+    for (column, (name, kind)) in columns.iter().zip(expected) {
+        assert_eq!(column.0, name);
+        assert_eq!(column.1, list(kind), "{name}");
+    }
+    assert_eq!(columns.len(), expected.len());
+    let rows: usize = batches.iter().map(RecordBatch::num_rows).sum();
+    assert_eq!(rows, analysis.passages.iter().map(|p| p.wheelsets.len()).sum::<usize>());
+}
+
+#[test]
+fn regress_values_of_forces_are_the_same_bits() {
+    let (dir, analysis) = written();
+    let file = dir.path().join("new/results/forces.parquet");
+    let rows = read_forces(&file).unwrap();
+    let p = &analysis.passages[1];
+    let (row, w) = (&rows[p.wheelsets.len() + 3], &p.wheelsets[3]);
+    assert_eq!((row.passage_id, row.wheelset, row.speed_m_s), (p.passage_id, w.wheelset, p.speed_m_s));
+    assert_eq!(row.position_m, w.position_m);
+    assert_eq!(row.contact_force_n, w.contact_force_n);
+    assert_eq!((&row.lower_n, &row.upper_n), (&w.lower_n, &w.upper_n));
+    assert_eq!(row.peak_force_n, w.peak_force_n.value);
+    assert_eq!((row.peak_lower_n, row.peak_upper_n), (w.peak_force_n.lower, w.peak_force_n.upper));
+    assert_eq!(row.peak_position_m, w.peak_position_m);
+    assert_eq!((&row.irregularity_m, row.irregularity_rms_m), (&w.irregularity_m, w.irregularity_rms_m));
+    assert_eq!(row.flags, w.flags);
+    // The same through the columns, as another program reads them.
+    let first = &batches(&file)[0];
+    assert_eq!(first["passage_id"].as_primitive::<Int32Type>().value(0), analysis.passages[0].passage_id);
+    let peak = analysis.passages[0].wheelsets[0].peak_force_n.value;
+    assert_eq!(first["peak_force_n"].as_primitive::<Float64Type>().value(0), peak);
+}
+
+#[test]
+fn reference_ballast_csv() {
+    let (dir, analysis) = written();
+    let text = std::fs::read_to_string(dir.path().join("new/results/ballast.csv")).unwrap();
+    let mut lines = text.lines();
+    assert_eq!(lines.next(), Some("sleeper,stiffness_n_m2,lower_n_m2,upper_n_m2"));
+    assert_eq!(lines.clone().count(), analysis.crossing.track.n_sleepers);
+    let crossing: Vec<f64> = lines.nth(30).unwrap().split(',').map(|c| c.parse().unwrap()).collect();
+    assert_eq!(crossing[..2], [30.0, 18e6]);
+}
+
+#[test]
+fn reference_indicators_json() {
+    let (dir, analysis) = written();
+    let results = dir.path().join("new/results");
+    let json: serde_json::Value =
+        serde_json::from_str(&std::fs::read_to_string(results.join("indicators.json")).unwrap()).unwrap();
+    assert_eq!(json["condition"], "watch");
+    assert_eq!(json["urgency"], analysis.indicators.urgency.as_str());
+    assert_eq!(json["recommended_action"], analysis.indicators.recommended_action.as_str());
+    assert_eq!(json["peak_force_n"]["mean"], analysis.indicators.peak_force_n.mean);
+    assert_eq!(json["irregularity_rms_m"]["range80"][1], analysis.indicators.irregularity_rms_m.p90);
+    assert_eq!(json["passages"]["used"], 24);
+    // The file that the modes refer to exists and has the column.
+    let mode = &json["peak_force_n"]["first_svd_mode"];
+    let modes = std::fs::read_to_string(results.join(mode["file"].as_str().unwrap())).unwrap();
+    assert!(modes.lines().next().unwrap().split(',').any(|c| c == mode["column"]));
+    assert_eq!(modes.lines().count(), 1 + analysis.indicators.position_m.len());
+}
+
+#[test]
+fn regress_results_are_reproducible_and_leave_nothing_else() {
+    let (first, analysis) = written();
+    let second = tempfile::tempdir().unwrap();
+    write_results(second.path(), &analysis).unwrap();
+    let mut names: Vec<_> =
+        std::fs::read_dir(second.path()).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
+    names.sort();
+    assert_eq!(names, ["ballast.csv", "forces.parquet", "indicators.json", "modes.csv", "report.html"]);
+    for name in names {
+        let read = |dir: &Path| std::fs::read(dir.join(&name)).unwrap();
+        assert_eq!(read(&first.path().join("new/results")), read(second.path()), "{name}");
+    }
+}
+
+#[test]
+fn regress_file_in_place_of_the_directory_is_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("results");
+    std::fs::write(&file, "keep").unwrap();
+    let error = write_results(&file, &sample_analysis()).unwrap_err();
+    assert!(error.to_string().contains("is a file"), "{error}");
+    assert_eq!(std::fs::read_to_string(&file).unwrap(), "keep");
+}
+
+#[test]
+fn regress_vectors_of_different_length_are_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut analysis = sample_analysis();
+    analysis.passages[2].wheelsets[1].upper_n.pop();
+    let error = write_results(dir.path(), &analysis).unwrap_err();
+    assert!(matches!(error, ResultsError::Ragged { passage_id: 2, wheelset: 1, column: "upper_n", .. }));
+    assert!(!dir.path().join("forces.parquet").exists());
+}

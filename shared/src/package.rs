@@ -13,6 +13,10 @@
 //! A `Block` is a row-major matrix of f32, with a CRC-32 of its own, so the node can check what it reads
 //! while it streams a matrix out of flash without ever holding it in memory.
 
+pub mod check;
+
+pub use check::{PackageError, header_len};
+
 use heapless::{String, Vec};
 use serde::{Deserialize, Serialize};
 

@@ -29,7 +29,7 @@ pub struct Record {
     pub kernel_id: u32,
     /// Train speed, m/s; 0 when it could not be found.
     pub speed_m_s: f32,
-    /// Largest |acceleration| of the raw samples, m/s².
+    /// Largest |acceleration| of the raw samples, m/s², from the quiet level (gravity is taken off).
     pub max_acceleration_m_s2: f32,
     /// RMS of the decimated signal before the train, m/s².
     pub quiet_rms_m_s2: f32,
@@ -74,4 +74,6 @@ pub mod flag {
     pub const KERNEL_READ: u16 = 1 << 7;
     /// Speed below 40 km/h: the method is weak there (paper, section 6.3).
     pub const LOW_SPEED: u16 = 1 << 8;
+    /// The passage began while the previous one was being evaluated; nothing of it was recorded.
+    pub const NOT_RECORDED: u16 = 1 << 9;
 }

@@ -1,0 +1,23 @@
+//! ADXL357 accelerometer: ±40 g, 20 bit, 4000 samples/s, FIFO of 32 samples (8 ms); for the unit of a code see
+//! [`crate::sample`].
+//!
+//! Only the vertical axis z leaves the driver. The sensor is mounted with its z axis down, so codes are positive
+//! downwards like every vertical quantity of the project.
+//!
+//! `registers` has the data sheet's names, `driver` talks to the part over SPI, `model` is the part as seen from
+//! the bus, for the simulated node and for tests.
+
+pub mod driver;
+pub mod model;
+pub mod registers;
+
+pub use driver::{Adxl357, Batch, Error};
+
+use crate::sample::RAW_RATE_HZ;
+
+/// Time from one sample to the next, µs.
+pub const SAMPLE_PERIOD_US: u32 = 1_000_000 / RAW_RATE_HZ;
+/// Samples that the FIFO holds.
+pub const FIFO_SAMPLES: usize = registers::FIFO_LEN / registers::AXES;
+/// Samples that raise the interrupt: half the FIFO, so that 4 ms remain to serve it.
+pub const WATERMARK_SAMPLES: usize = FIFO_SAMPLES / 2;

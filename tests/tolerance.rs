@@ -1,0 +1,25 @@
+//! Tolerances of the whole-system tests, each with its reason.
+#![allow(dead_code, reason = "each test file uses its own part")]
+
+/// Speed of a field recording against the truth, relative, median of a site. Three times what was measured; the
+/// force estimate needs 1e-3.
+pub const SPEED_MEDIAN: f64 = 3e-4;
+/// The same for the worst recording.
+pub const SPEED_LARGEST: f64 = 1e-3;
+/// Speed against the operator's, relative: his is within 1 %, plus our own error.
+pub const SPEED_OPERATOR: f64 = 1.05e-2;
+
+/// Synthetic train, noise 0.02 m/s²: speed, relative.
+pub const SYNTHETIC_SPEED: f64 = 1e-4;
+/// Times of axles, s: 2 mm of track at 40 m/s.
+pub const SYNTHETIC_TIME_S: f64 = 5e-5;
+/// Forces, relative: interpolation of the window and of the peak, 1e-3 each.
+pub const SYNTHETIC_FORCE: f64 = 2e-3;
+/// Position of the peak, m: a fifth of the grid's step.
+pub const SYNTHETIC_POSITION_M: f64 = 4e-3;
+
+/// Values that pass through a float64 column are the same bits.
+pub const EXACT: f64 = 0.0;
+
+/// Relative; values that pass through a float32 column once: half a unit in the last place of 24 bits.
+pub const FLOAT32_COLUMN: f64 = 6e-8;

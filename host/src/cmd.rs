@@ -8,7 +8,6 @@ mod demo;
 mod kernel;
 mod output;
 mod progress;
-mod verify;
 
 use std::process::ExitCode;
 
@@ -35,7 +34,6 @@ enum Command {
     Demo(demo::DemoArgs),
     Analyse(analyse::AnalyseArgs),
     Kernel(kernel::KernelArgs),
-    Verify(verify::VerifyArgs),
     Convert(convert::ConvertArgs),
 }
 
@@ -46,7 +44,6 @@ pub fn main() -> ExitCode {
         Command::Demo(args) => args.run(),
         Command::Analyse(args) => args.run(),
         Command::Kernel(args) => args.run(),
-        Command::Verify(args) => args.run(),
         Command::Convert(args) => args.run(),
     };
     match result {

@@ -54,17 +54,31 @@ pub struct EvidenceFit {
 
 impl EvidenceProblem<'_> {
     /// Posterior of a site for given ballast at the low sampling.
-    pub fn posterior(&self, ballast: &BallastParameters, passages: &[SitePassage]) -> Result<SitePosterior, InverseError> {
+    pub fn posterior(
+        &self,
+        ballast: &BallastParameters,
+        passages: &[SitePassage],
+    ) -> Result<SitePosterior, InverseError> {
         let distribution = ballast.distribution(self.track.sleeper_x_m.len(), self.track.sensor_sleeper);
         let sampling = GreensSampling::low();
-        let greens =
-            GreensFunctions::new(self.track, &distribution, sampling, Quantity::Acceleration, &Chain::Corrected);
+        let greens = GreensFunctions::new(
+            self.track,
+            &distribution,
+            sampling,
+            Quantity::Acceleration,
+            &Chain::Corrected,
+        );
         let model = SiteModel {
             greens: &greens,
             direction: self.direction,
             pattern: self.pattern,
             prior: &self.prior,
-            grids: ProfileGrids::new(self.prior.half_m, PROFILE_STEP_M.0, PROFILE_STEP_M.1, self.mean_speed_m_s),
+            grids: ProfileGrids::new(
+                self.prior.half_m,
+                PROFILE_STEP_M.0,
+                PROFILE_STEP_M.1,
+                self.mean_speed_m_s,
+            ),
             common_shift_sd_m: SHIFT_SD_M.0,
             passage_shift_sd_m: SHIFT_SD_M.1,
         };
@@ -72,13 +86,18 @@ impl EvidenceProblem<'_> {
     }
 
     /// Searches from several starts, because p2 and p3 trade against each other and local optima exist.
-    pub fn fit(&self, starts: &[BallastParameters], passages: &[SitePassage]) -> Result<EvidenceFit, InverseError> {
+    pub fn fit(
+        &self,
+        starts: &[BallastParameters],
+        passages: &[SitePassage],
+    ) -> Result<EvidenceFit, InverseError> {
         let mut evaluations = 0;
         let mut best: Option<(Vec<f64>, f64)> = None;
         for start in starts {
             let cost = Cost { problem: self, passages };
             let solver = NelderMead::new(simplex(start)).with_sd_tolerance(0.05).map_err(|_| failed())?;
-            let run = Executor::new(cost, solver).configure(|s| s.max_iters(60)).run().map_err(|_| failed())?;
+            let run =
+                Executor::new(cost, solver).configure(|s| s.max_iters(60)).run().map_err(|_| failed())?;
             evaluations += run.state().get_func_counts().values().sum::<u64>() as usize;
             let found = run.state().get_best_param().cloned().map(|p| (p, run.state().get_best_cost()));
             if let Some((p, c)) = found
@@ -104,7 +123,12 @@ impl EvidenceProblem<'_> {
     }
 
     /// Inverse Hessian of the cost by central differences (Laplace approximation of the posterior).
-    fn curvature(&self, z: &[f64], passages: &[SitePassage], cost: f64) -> Result<[[f64; 3]; 3], InverseError> {
+    fn curvature(
+        &self,
+        z: &[f64],
+        passages: &[SitePassage],
+        cost: f64,
+    ) -> Result<[[f64; 3]; 3], InverseError> {
         let step = [0.04, 0.06, 0.08];
         let at = |moves: &[(usize, f64)]| {
             let mut p = z.to_vec();
@@ -149,7 +173,11 @@ fn failed() -> InverseError {
 }
 
 fn from_vector(z: &[f64]) -> BallastParameters {
-    BallastParameters { p1_n_m2: z[0].clamp(13.0, 20.0).exp(), p2_n_m2: z[1].clamp(13.0, 20.0).exp(), p3: z[2].clamp(0.0, 1.0) }
+    BallastParameters {
+        p1_n_m2: z[0].clamp(13.0, 20.0).exp(),
+        p2_n_m2: z[1].clamp(13.0, 20.0).exp(),
+        p3: z[2].clamp(0.0, 1.0),
+    }
 }
 
 /// Start and one step along each axis.

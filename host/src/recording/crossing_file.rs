@@ -327,7 +327,8 @@ mod tests {
     #[test]
     fn property_every_key_is_needed() {
         for (k, line) in SOUND.lines().enumerate().filter(|(_, l)| l.contains(" = ")) {
-            let rest: Vec<&str> = SOUND.lines().enumerate().filter(|(i, _)| *i != k).map(|(_, l)| l).collect();
+            let rest: Vec<&str> =
+                SOUND.lines().enumerate().filter(|(i, _)| *i != k).map(|(_, l)| l).collect();
             let name = line.split(' ').next().unwrap();
             // These describe the file or repeat the documentation.
             let optional = ["format_version", "sign_convention", "quantity", "antialias"];

@@ -39,7 +39,8 @@ pub(super) fn figure(analysis: &Analysis) -> Result<Figure, ReportError> {
 
 /// Every wheelset and its peak; faint, because there are hundreds.
 fn wheelsets(analysis: &Analysis, all: &[Vec<Point>]) -> Vec<Layer> {
-    let line = |points: &Vec<Point>| Layer::Line { points: points.clone(), color: GREY, opacity: 0.09, width: 2 };
+    let line =
+        |points: &Vec<Point>| Layer::Line { points: points.clone(), color: GREY, opacity: 0.09, width: 2 };
     let peak = |w: &WheelsetResult| (w.peak_position_m, 1e-3 * w.peak_force_n.value);
     let peaks = traces::wheelsets(&analysis.passages).map(peak).collect();
     let dots = Layer::Dots { points: peaks, color: GREY, opacity: 0.5, size: 4 };
@@ -51,7 +52,8 @@ fn statistics(analysis: &Analysis, all: &[Vec<Point>]) -> Vec<Layer> {
     let passages = &analysis.passages;
     let grid = traces::grid_m(passages);
     let half_width = |w: &WheelsetResult| {
-        let half: Vec<f64> = w.upper_n.iter().zip(&w.lower_n).map(|(upper, lower)| 0.5 * (upper - lower)).collect();
+        let half: Vec<f64> =
+            w.upper_n.iter().zip(&w.lower_n).map(|(upper, lower)| 0.5 * (upper - lower)).collect();
         traces::on_grid(w, &half, 1e-3)
     };
     let half_widths: Vec<Vec<Point>> = traces::wheelsets(passages).map(half_width).collect();

@@ -22,7 +22,12 @@ pub(super) fn figure(analysis: &Analysis) -> Result<Figure, ReportError> {
             opacity: 0.4,
             width: 3,
         },
-        Layer::Dots { points: peaks.iter().map(|p| (p.x, p.value)).collect(), color: BLUE, opacity: 0.9, size: 5 },
+        Layer::Dots {
+            points: peaks.iter().map(|p| (p.x, p.value)).collect(),
+            color: BLUE,
+            opacity: 0.9,
+            size: 5,
+        },
         Layer::Dashed { points: vec![(ends.0, threshold), (ends.1, threshold)], color: RED, width: 4 },
     ];
     let mean = |p| Layer::Line { points: mean(p), color: ORANGE, opacity: 1.0, width: 6 };
@@ -62,7 +67,8 @@ struct Peak {
 
 /// The wheelsets of a passage stand side by side over its number.
 fn peaks(p: &PassageResult) -> Vec<Peak> {
-    let place = |k: usize| f64::from(p.passage_id) + 0.7 * ((k as f64 + 0.5) / p.wheelsets.len() as f64 - 0.5);
+    let place =
+        |k: usize| f64::from(p.passage_id) + 0.7 * ((k as f64 + 0.5) / p.wheelsets.len() as f64 - 0.5);
     let peak = |(k, w): (usize, &crate::analysis::WheelsetResult)| Peak {
         x: place(k),
         value: 1e-3 * w.peak_force_n.value,

@@ -152,7 +152,7 @@ fn operator(
         train_offset_m: &kind.offsets.train,
         static_force_n: site.static_force_n[0],
     };
-    let estimator = Estimator::new(greens, &geometry, &site.prior, &site.profile)?;
+    let estimator = Estimator::new(greens, &geometry, &site.prior, &site.interaction, &site.profile)?;
     let gains = estimator.gains(grid_m, LOW_PASS_HZ);
     let (g, n) = (grid_m.len(), estimator.len());
     let gain = Mat::from_fn(gains.len() * g, n, |i, k| gains[i / g].gain[(i % g, k)]);

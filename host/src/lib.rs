@@ -8,6 +8,7 @@ pub mod forces;
 pub mod greens;
 pub mod identify;
 pub mod indicator;
+pub mod interaction;
 pub mod inverse;
 pub mod irregularity;
 pub mod kernel;

@@ -11,7 +11,10 @@ use faer::Mat;
 use super::BallastParameters;
 use crate::greens::{Chain, GreensFunctions, GreensSampling, Quantity};
 use crate::inverse::hierarchy::{SiteModel, SitePassage, SitePosterior};
+use crate::inverse::hyper::refine;
 use crate::inverse::{InverseError, Prior, ProfileGrids};
+use crate::interaction::Interaction;
+use crate::recording::Vehicle;
 use crate::track::Track;
 use crate::vehicle::AxlePattern;
 
@@ -25,8 +28,8 @@ pub struct EvidenceProblem<'a> {
     pub pattern: &'a AxlePattern,
     /// Prior of forces and noise at the identification's sampling.
     pub prior: Prior,
-    /// Mean speed of the site, m/s.
-    pub mean_speed_m_s: f64,
+    /// Vehicle.
+    pub vehicle: &'a Vehicle,
 }
 
 /// Prior of the shape p3: between linear and the limits of monotony, which are 0.25 and 0.75.
@@ -60,29 +63,14 @@ impl EvidenceProblem<'_> {
         passages: &[SitePassage],
     ) -> Result<SitePosterior, InverseError> {
         let distribution = ballast.distribution(self.track.sleeper_x_m.len(), self.track.sensor_sleeper);
-        let sampling = GreensSampling::low();
-        let greens = GreensFunctions::new(
-            self.track,
-            &distribution,
-            sampling,
-            Quantity::Acceleration,
-            &Chain::Corrected,
-        );
-        let model = SiteModel {
-            greens: &greens,
-            direction: self.direction,
-            pattern: self.pattern,
-            prior: &self.prior,
-            grids: ProfileGrids::new(
-                self.prior.half_m,
-                PROFILE_STEP_M.0,
-                PROFILE_STEP_M.1,
-                self.mean_speed_m_s,
-            ),
-            common_shift_sd_m: SHIFT_SD_M.0,
-            passage_shift_sd_m: SHIFT_SD_M.1,
-        };
-        model.posterior(passages)
+        LowModel::new(self, &distribution).posterior(self, &self.prior, passages)
+    }
+
+    /// Prior whose hyper-parameters the evidence prefers at given ballast.
+    pub fn refined(&self, ballast: &BallastParameters, passages: &[SitePassage]) -> Result<Prior, InverseError> {
+        let distribution = ballast.distribution(self.track.sleeper_x_m.len(), self.track.sensor_sleeper);
+        let model = LowModel::new(self, &distribution);
+        Ok(refine(&self.prior, &|prior| Ok(model.posterior(self, prior, passages)?.log_evidence))?.0)
     }
 
     /// Searches from several starts, because p2 and p3 trade against each other and local optima exist.
@@ -149,6 +137,42 @@ impl EvidenceProblem<'_> {
             }
         }
         Ok(positive_inverse(&hessian))
+    }
+}
+
+/// Track of given ballast at the low sampling.
+struct LowModel {
+    greens: GreensFunctions,
+    interaction: Interaction,
+}
+
+impl LowModel {
+    fn new(problem: &EvidenceProblem, distribution: &[f64]) -> Self {
+        let sampling = GreensSampling::low();
+        let (track, half_m) = (problem.track, problem.prior.half_m);
+        Self {
+            greens: GreensFunctions::new(track, distribution, sampling, Quantity::Acceleration, &Chain::Corrected),
+            interaction: Interaction::new(track, distribution, problem.vehicle, half_m, sampling),
+        }
+    }
+
+    fn posterior(
+        &self,
+        problem: &EvidenceProblem,
+        prior: &Prior,
+        passages: &[SitePassage],
+    ) -> Result<SitePosterior, InverseError> {
+        let model = SiteModel {
+            greens: &self.greens,
+            interaction: &self.interaction,
+            direction: problem.direction,
+            pattern: problem.pattern,
+            prior,
+            grids: ProfileGrids::new(prior.half_m, PROFILE_STEP_M.0, PROFILE_STEP_M.1),
+            common_shift_sd_m: SHIFT_SD_M.0,
+            passage_shift_sd_m: SHIFT_SD_M.1,
+        };
+        model.posterior(passages)
     }
 }
 

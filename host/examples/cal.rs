@@ -24,7 +24,6 @@ fn main() {
     let tr: Vec<f64> = std::env::args().skip(2).map(|a| a.parse().unwrap()).collect();
     let mut prior = Prior::starting(dirn);
     let every = arg("EVERY").unwrap_or(3.0) as usize;
-    if let Some(x) = arg("OWN") { prior = prior.with_own_scaled(x); }
     if let Some(x) = arg("NOISE") { prior.noise_m_s2 = x; }
     if let Some(x) = arg("SLOW") { prior.slow_n = x; }
     if let Some(x) = arg("REG") { prior.common.region = x; }

@@ -73,8 +73,13 @@ fn passage_skipped(dir: &Path, row: usize, words: &[&str]) {
         assert!(skipped.reason.contains(word), "`{word}` is missing in: {}", skipped.reason);
     }
     let out = tempfile::tempdir().unwrap();
-    let run =
-        cpcm(&["convert", dir.to_str().unwrap(), out.path().join("out").to_str().unwrap(), "--to", "parquet"]);
+    let run = cpcm(&[
+        "convert",
+        dir.to_str().unwrap(),
+        out.path().join("out").to_str().unwrap(),
+        "--to",
+        "parquet",
+    ]);
     assert_eq!(run.status.code(), Some(0));
     assert!(String::from_utf8_lossy(&run.stderr).contains(&skipped.reason));
 }
@@ -111,7 +116,8 @@ fn columns(site: &Site) -> Vec<(&'static str, ArrayRef)> {
 }
 
 fn write_columns(dir: &Path, columns: Vec<(&str, ArrayRef)>) {
-    let batch = RecordBatch::try_from_iter_with_nullable(columns.into_iter().map(|(n, a)| (n, a, true))).unwrap();
+    let batch =
+        RecordBatch::try_from_iter_with_nullable(columns.into_iter().map(|(n, a)| (n, a, true))).unwrap();
     let file = std::fs::File::create(parquet_file(dir)).unwrap();
     let mut writer = ArrowWriter::try_new(file, batch.schema(), None).unwrap();
     writer.write(&batch).unwrap();
@@ -192,7 +198,9 @@ fn key_with_the_wrong_type() {
 #[test]
 fn key_in_the_wrong_unit() {
     let (dir, _) = sound(Format::Parquet);
-    edit(dir.path(), "crossing.toml", |t| t.replace("youngs_modulus_pa = 210000000000.0", "youngs_modulus_pa = 210.0"));
+    edit(dir.path(), "crossing.toml", |t| {
+        t.replace("youngs_modulus_pa = 210000000000.0", "youngs_modulus_pa = 210.0")
+    });
     site_refused(dir.path(), &["crossing.toml", "rail.youngs_modulus_pa", "210", "Pa"]);
 }
 
@@ -311,12 +319,18 @@ fn temperature_in_kelvin() {
 
 #[test]
 fn acceleration_in_g() {
-    value_skipped(|p| p.acceleration_m_s2.iter_mut().for_each(|a| *a /= 9.81), &["acceleration_m_s2", "in g"]);
+    value_skipped(
+        |p| p.acceleration_m_s2.iter_mut().for_each(|a| *a /= 9.81),
+        &["acceleration_m_s2", "in g"],
+    );
 }
 
 #[test]
 fn acceleration_in_mm_s2() {
-    value_skipped(|p| p.acceleration_m_s2.iter_mut().for_each(|a| *a *= 1e3), &["acceleration_m_s2", "mm/s²"]);
+    value_skipped(
+        |p| p.acceleration_m_s2.iter_mut().for_each(|a| *a *= 1e3),
+        &["acceleration_m_s2", "mm/s²"],
+    );
 }
 
 #[test]
@@ -446,7 +460,8 @@ fn scan_in_mm() {
 #[test]
 fn scan_not_sorted() {
     let (dir, _) = sound(Format::Parquet);
-    std::fs::write(dir.path().join("irregularity.csv"), "position_m,irregularity_m\n0.01,0\n0.00,0\n").unwrap();
+    std::fs::write(dir.path().join("irregularity.csv"), "position_m,irregularity_m\n0.01,0\n0.00,0\n")
+        .unwrap();
     site_refused(dir.path(), &["irregularity.csv", "position_m", "row 1", "sort"]);
 }
 

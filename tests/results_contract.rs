@@ -117,8 +117,10 @@ fn regress_results_are_reproducible_and_leave_nothing_else() {
     let (first, analysis) = written();
     let second = tempfile::tempdir().unwrap();
     write_results(second.path(), &analysis).unwrap();
-    let mut names: Vec<_> =
-        std::fs::read_dir(second.path()).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
+    let mut names: Vec<_> = std::fs::read_dir(second.path())
+        .unwrap()
+        .map(|e| e.unwrap().file_name().into_string().unwrap())
+        .collect();
     names.sort();
     assert_eq!(names, ["ballast.csv", "forces.parquet", "indicators.json", "modes.csv", "report.html"]);
     for name in names {

@@ -47,17 +47,18 @@ fn ballast(truth: &Truth) -> BallastEstimate {
         p1_n_m2: around(p1, 0.02),
         p2_n_m2: around(p2, 0.05),
         p3: around(p3, 0.5),
-        stiffness_n_m2: b.stiffness_n_m2.iter().map(|&k| around(k, if k < p1 { 0.08 } else { 0.02 })).collect(),
+        stiffness_n_m2: b
+            .stiffness_n_m2
+            .iter()
+            .map(|&k| around(k, if k < p1 { 0.08 } else { 0.02 }))
+            .collect(),
         misfit: 0.021,
     }
 }
 
 fn passage(p: &Passage, site: &Site, truth: &Truth, scan: &Scan) -> PassageResult {
-    let wheels: Vec<&WheelTruth> = truth
-        .wheels
-        .iter()
-        .filter(|w| w.passage_id == p.passage_id && w.side == Side::Crossing)
-        .collect();
+    let wheels: Vec<&WheelTruth> =
+        truth.wheels.iter().filter(|w| w.passage_id == p.passage_id && w.side == Side::Crossing).collect();
     let displacement = wheels[0].sleeper_displacement_m.clone().unwrap();
     let speed_m_s = wheels[0].true_speed_m_s;
     let acceleration: Vec<f64> = p.acceleration_m_s2.iter().map(|&a| f64::from(a)).collect();
@@ -89,7 +90,8 @@ fn wheelset(w: &WheelTruth, scan: &Scan) -> WheelsetResult {
     let range = range..range + 241;
     let force = smooth(&w.contact_force_n, 3)[range.clone()].to_vec();
     let position_m: Vec<f64> = (0..241).map(|i| -0.9 + 0.01 * f64::from(i)).collect();
-    let (top, peak) = force.iter().copied().enumerate().fold((0, 0.0), |m, (i, f)| if f > m.1 { (i, f) } else { m });
+    let (top, peak) =
+        force.iter().copied().enumerate().fold((0, 0.0), |m, (i, f)| if f > m.1 { (i, f) } else { m });
     let scale = 0.8 + peak / 700e3;
     let z = |x: &f64| {
         let k = scan.position_m.partition_point(|s| s < x).min(scan.position_m.len() - 1);
@@ -129,7 +131,8 @@ fn indicators(passages: &[PassageResult]) -> Indicators {
         position_m: all[0].position_m.clone(),
         condition: Condition::Watch,
         urgency: "within three months".into(),
-        recommended_action: "tamp the crossing sleeper and inspect the nose; grind when the nose shows a dip".into(),
+        recommended_action: "tamp the crossing sleeper and inspect the nose; grind when the nose shows a dip"
+            .into(),
     }
 }
 

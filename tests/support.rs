@@ -2,4 +2,5 @@
 
 pub mod program;
 pub mod sample;
+pub mod synthetic_kernel;
 pub mod tolerance;

@@ -18,7 +18,12 @@ pub fn stiffness(section: &BeamSection, length_m: f64) -> Matrix4 {
     let (a, b) = ((4.0 + phi) * l * l, (2.0 - phi) * l * l);
     scaled(
         c,
-        [[12.0, 6.0 * l, -12.0, 6.0 * l], [6.0 * l, a, -6.0 * l, b], [-12.0, -6.0 * l, 12.0, -6.0 * l], [6.0 * l, b, -6.0 * l, a]],
+        [
+            [12.0, 6.0 * l, -12.0, 6.0 * l],
+            [6.0 * l, a, -6.0 * l, b],
+            [-12.0, -6.0 * l, 12.0, -6.0 * l],
+            [6.0 * l, b, -6.0 * l, a],
+        ],
     )
 }
 
@@ -33,7 +38,8 @@ pub fn mass(section: &BeamSection, length_m: f64) -> Matrix4 {
     let m4 = -(26.0 + 63.0 * phi + 35.0 * phi * phi) * l;
     let m5 = (8.0 + 14.0 * phi + 7.0 * phi * phi) * l * l;
     let m6 = -(6.0 + 14.0 * phi + 7.0 * phi * phi) * l * l;
-    let translational = scaled(t, [[m1, m2, m3, m4], [m2, m5, -m4, m6], [m3, -m4, m1, -m2], [m4, m6, -m2, m5]]);
+    let translational =
+        scaled(t, [[m1, m2, m3, m4], [m2, m5, -m4, m6], [m3, -m4, m1, -m2], [m4, m6, -m2, m5]]);
     let r = section.rotary_kg_m / (30.0 * l) / norm;
     let (n1, n2) = (36.0, (3.0 - 15.0 * phi) * l);
     let n5 = (4.0 + 5.0 * phi + 10.0 * phi * phi) * l * l;

@@ -71,7 +71,8 @@ impl Chain {
             Chain::Node { antialias, taps, raw_rate_hz } => {
                 let middle = (taps.len() as f64 - 1.0) / 2.0;
                 let w = std::f64::consts::TAU * f_hz / raw_rate_hz;
-                let fir: f64 = taps.iter().enumerate().map(|(k, t)| t * (w * (k as f64 - middle)).cos()).sum();
+                let fir: f64 =
+                    taps.iter().enumerate().map(|(k, t)| t * (w * (k as f64 - middle)).cos()).sum();
                 antialias.response(f_hz) * fir
             }
         }
@@ -93,7 +94,13 @@ pub struct GreensFunctions {
 
 impl GreensFunctions {
     /// Inverse Fourier transform of the receptance (eq. 4), band-limited.
-    pub fn new(track: &Track, ballast_n_m2: &[f64], sampling: GreensSampling, quantity: Quantity, chain: &Chain) -> Self {
+    pub fn new(
+        track: &Track,
+        ballast_n_m2: &[f64],
+        sampling: GreensSampling,
+        quantity: Quantity,
+        chain: &Chain,
+    ) -> Self {
         let receptance = track.sensor_receptance(&sampling.frequencies_hz(), ballast_n_m2);
         let elements = track.node_x_m.len() - 1;
         let phi = |side| {

@@ -61,8 +61,11 @@ impl Recording {
             padded,
             spectrum,
         };
-        let banded = out.filtered(|f| if (Self::NOISE_BAND_HZ[0]..=Self::NOISE_BAND_HZ[1]).contains(&f) { 1.0 } else { 0.0 });
-        let quiet_banded: Vec<f64> = banded[..quiet].iter().chain(&banded[raw.len() - quiet..]).copied().collect();
+        let banded = out.filtered(|f| {
+            if (Self::NOISE_BAND_HZ[0]..=Self::NOISE_BAND_HZ[1]).contains(&f) { 1.0 } else { 0.0 }
+        });
+        let quiet_banded: Vec<f64> =
+            banded[..quiet].iter().chain(&banded[raw.len() - quiet..]).copied().collect();
         out.quiet_rms_m_s2 = rms(&quiet_banded);
         out
     }
@@ -104,7 +107,13 @@ impl Recording {
         })
     }
 
-    fn resampled(&self, start_s: f64, window_rate_hz: f64, len: usize, gain: impl Fn(f64) -> c64) -> Vec<f64> {
+    fn resampled(
+        &self,
+        start_s: f64,
+        window_rate_hz: f64,
+        len: usize,
+        gain: impl Fn(f64) -> c64,
+    ) -> Vec<f64> {
         let step = (self.rate_hz / window_rate_hz).round().max(1.0) as usize;
         let n = self.padded / step;
         let first = (start_s * window_rate_hz).floor();
@@ -119,7 +128,9 @@ impl Recording {
         let signal = irfft(&spectrum, n);
         let scale = n as f64 / self.padded as f64;
         (0..len as i64)
-            .map(|k| usize::try_from(first as i64 + k).ok().and_then(|i| signal.get(i)).map_or(0.0, |v| v * scale))
+            .map(|k| {
+                usize::try_from(first as i64 + k).ok().and_then(|i| signal.get(i)).map_or(0.0, |v| v * scale)
+            })
             .collect()
     }
 }

@@ -19,8 +19,8 @@ use std::path::Path;
 pub use check::{MAX_PASSAGES, MAX_SAMPLES, check_passage};
 pub use crossing::*;
 pub use crossing_file::check_crossing;
-pub use guard::silence_guarded_panics;
 pub use error::{PassageFault, RecordingError};
+pub use guard::silence_guarded_panics;
 
 /// One crossing panel recorded over a number of train passages.
 #[derive(Clone, Debug)]

@@ -117,7 +117,9 @@ impl Track {
         let n_nodes = layout.n_sleepers.saturating_sub(1) * nodes_per_bay + 1;
         Self {
             node_x_m: (0..n_nodes).map(|i| first + i as f64 * step_m).collect(),
-            sleeper_x_m: (0..layout.n_sleepers).map(|i| first + i as f64 * layout.sleeper_spacing_m).collect(),
+            sleeper_x_m: (0..layout.n_sleepers)
+                .map(|i| first + i as f64 * layout.sleeper_spacing_m)
+                .collect(),
             step_m,
             plain: BeamSection::plain_rail(&crossing.rail),
             crossing_rail: BeamSection::crossing_rail(&crossing.rail),
@@ -175,7 +177,10 @@ impl Track {
                 for (side, nodal) in [(Side::Crossing, crossing), (Side::Stock, stock)] {
                     let phi = beam::shear_ratio(self.element_section(side, e), self.step_m);
                     let n = beam::shape(phi, self.step_m, position - e as f64);
-                    sum += nodal[e][0] * n[0] + nodal[e][1] * n[1] + nodal[e + 1][0] * n[2] + nodal[e + 1][1] * n[3];
+                    sum += nodal[e][0] * n[0]
+                        + nodal[e][1] * n[1]
+                        + nodal[e + 1][0] * n[2]
+                        + nodal[e + 1][1] * n[3];
                 }
                 sum
             })
@@ -265,7 +270,8 @@ impl Track {
         let mut upper: Vec<Block<4>> = vec![[[ZERO; 4]; 4]; n.saturating_sub(1)];
         for e in 0..n.saturating_sub(1) {
             for (rail, side) in [(0, Side::Crossing), (1, Side::Stock)] {
-                let d = if std::ptr::eq(self.element_section(side, e), &self.plain) { &plain } else { &crossing };
+                let d =
+                    if std::ptr::eq(self.element_section(side, e), &self.plain) { &plain } else { &crossing };
                 for i in 0..2 {
                     for j in 0..2 {
                         diagonal[e][2 * rail + i][2 * rail + j] += d[i][j];
@@ -284,7 +290,8 @@ impl Track {
         let c = self.sleeper.compliance(omega, ballast);
         let pad = c64::new(1.0, 0.0) / self.pad.dynamic(omega);
         let seat_stiffness = invert([[c[0][0] + pad, c[0][1]], [c[1][0], c[1][1] + pad]]);
-        let sensor_load = std::array::from_fn(|i| seat_stiffness[i][0] * c[0][2] + seat_stiffness[i][1] * c[1][2]);
+        let sensor_load =
+            std::array::from_fn(|i| seat_stiffness[i][0] * c[0][2] + seat_stiffness[i][1] * c[1][2]);
         let sensor_free = c[2][2] - c[2][0] * sensor_load[0] - c[2][1] * sensor_load[1];
         CondensedSleeper { seat_stiffness, sensor_load, sensor_free }
     }

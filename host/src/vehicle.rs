@@ -25,7 +25,12 @@ const GROUP_GAP_M: f64 = 10.0;
 impl AxlePattern {
     /// Pattern of a train of equal cars with two two-axle bogies each.
     pub fn of_vehicle(vehicle: &Vehicle) -> Self {
-        let within = [0.0, vehicle.axle_spacing_m, vehicle.bogie_centres_m, vehicle.bogie_centres_m + vehicle.axle_spacing_m];
+        let within = [
+            0.0,
+            vehicle.axle_spacing_m,
+            vehicle.bogie_centres_m,
+            vehicle.bogie_centres_m + vehicle.axle_spacing_m,
+        ];
         let offset_m =
             (0..vehicle.cars).flat_map(|car| within.map(|o| car as f64 * vehicle.car_length_m + o)).collect();
         Self { offset_m }

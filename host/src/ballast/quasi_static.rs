@@ -93,8 +93,9 @@ impl<'a> QuasiStatic<'a> {
         let (problem, report) = LevenbergMarquardt::new().with_ftol(1e-8).with_xtol(1e-6).minimize(problem);
         let parameters = from_scaled(&problem.scaled);
         let models = self.models(&parameters);
-        let first_axle_s =
-            (0..self.passages.len()).map(|i| self.refine_time(&self.passages[i], &models[i], problem.times[i])).collect();
+        let first_axle_s = (0..self.passages.len())
+            .map(|i| self.refine_time(&self.passages[i], &models[i], problem.times[i]))
+            .collect();
         QuasiStaticFit {
             parameters,
             first_axle_s,
@@ -147,9 +148,15 @@ impl<'a> QuasiStatic<'a> {
         let span = passage.duration_s - passage.train_s - 2.0 * approach_s;
         let count = (span.max(0.0) / step) as usize + 1;
         let correlation = |t: f64| -> f64 {
-            product.iter().zip(&self.frequency_hz).map(|(c, f)| (c * unit(std::f64::consts::TAU * f * t)).re).sum()
+            product
+                .iter()
+                .zip(&self.frequency_hz)
+                .map(|(c, f)| (c * unit(std::f64::consts::TAU * f * t)).re)
+                .sum()
         };
-        let best = (0..count).map(|i| approach_s + i as f64 * step).max_by(|a, b| correlation(*a).total_cmp(&correlation(*b)));
+        let best = (0..count)
+            .map(|i| approach_s + i as f64 * step)
+            .max_by(|a, b| correlation(*a).total_cmp(&correlation(*b)));
         self.refine_time(passage, model, best.unwrap_or(0.0))
     }
 
@@ -198,22 +205,43 @@ fn unit(phase: f64) -> c64 {
 const SLOW_RATE_HZ: f64 = 200.0;
 const SLOW_BAND_HZ: [f64; 2] = [60.0, 90.0];
 
-fn prepare(recording: &Recording, speed: f64, force: f64, pattern: &AxlePattern, lines: &[f64]) -> QuasiStaticPassage {
+fn prepare(
+    recording: &Recording,
+    speed: f64,
+    force: f64,
+    pattern: &AxlePattern,
+    lines: &[f64],
+) -> QuasiStaticPassage {
     let duration_s = recording.duration_s();
     let slow = recording.window(0.0, SLOW_RATE_HZ, (duration_s * SLOW_RATE_HZ) as usize, SLOW_BAND_HZ);
     let measured = lines
         .iter()
         .map(|f| {
             let w = std::f64::consts::TAU * f;
-            let sum = slow.iter().enumerate().fold(c64::new(0.0, 0.0), |acc, (i, a)| acc + unit(-w * i as f64 / SLOW_RATE_HZ) * *a);
+            let sum = slow
+                .iter()
+                .enumerate()
+                .fold(c64::new(0.0, 0.0), |acc, (i, a)| acc + unit(-w * i as f64 / SLOW_RATE_HZ) * *a);
             sum * (-1.0 / (w * w) / SLOW_RATE_HZ)
         })
         .collect();
     let axles = lines
         .iter()
-        .map(|f| pattern.offset_m.iter().fold(c64::new(0.0, 0.0), |acc, o| acc + unit(-std::f64::consts::TAU * f * o / speed)))
+        .map(|f| {
+            pattern
+                .offset_m
+                .iter()
+                .fold(c64::new(0.0, 0.0), |acc, o| acc + unit(-std::f64::consts::TAU * f * o / speed))
+        })
         .collect();
-    QuasiStaticPassage { speed_m_s: speed, static_force_n: force, duration_s, train_s: pattern.length_m() / speed, measured, pattern: axles }
+    QuasiStaticPassage {
+        speed_m_s: speed,
+        static_force_n: force,
+        duration_s,
+        train_s: pattern.length_m() / speed,
+        measured,
+        pattern: axles,
+    }
 }
 
 /// The optimiser works on (ln p1, ln p2, p3), which keeps the stiffnesses positive.
@@ -222,7 +250,11 @@ fn to_scaled(p: &BallastParameters) -> Vector3<f64> {
 }
 
 fn from_scaled(z: &Vector3<f64>) -> BallastParameters {
-    BallastParameters { p1_n_m2: z[0].clamp(13.0, 20.0).exp(), p2_n_m2: z[1].clamp(13.0, 20.0).exp(), p3: z[2].clamp(0.0, 1.0) }
+    BallastParameters {
+        p1_n_m2: z[0].clamp(13.0, 20.0).exp(),
+        p2_n_m2: z[1].clamp(13.0, 20.0).exp(),
+        p3: z[2].clamp(0.0, 1.0),
+    }
 }
 
 struct Problem<'p, 'a> {

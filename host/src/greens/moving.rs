@@ -36,7 +36,13 @@ const LEAD: i64 = 60;
 
 /// Kernel matrix, window samples × force samples, in response units per newton: `response = kernel · force`.
 /// Forces are taken at the samples during which the wheel is within `half_m` of x = 0.
-pub fn kernel(greens: &GreensFunctions, side: Side, path: &WheelPath, half_m: f64, window_len: usize) -> Mat<f64> {
+pub fn kernel(
+    greens: &GreensFunctions,
+    side: Side,
+    path: &WheelPath,
+    half_m: f64,
+    window_len: usize,
+) -> Mat<f64> {
     let rate = greens.sampling.rate_hz;
     let range = path.samples_within(half_m, rate);
     let first = *range.start();
@@ -53,7 +59,12 @@ pub fn kernel(greens: &GreensFunctions, side: Side, path: &WheelPath, half_m: f6
 
 /// Response of the window to a constant unit force on one rail, all the way along the track, faded out towards the
 /// rail ends (10 … 14 m from the origin) so that no step enters there.
-pub fn constant_force_response(greens: &GreensFunctions, side: Side, path: &WheelPath, window_len: usize) -> Vec<f64> {
+pub fn constant_force_response(
+    greens: &GreensFunctions,
+    side: Side,
+    path: &WheelPath,
+    window_len: usize,
+) -> Vec<f64> {
     let rate = greens.sampling.rate_hz;
     let mut sum = vec![0.0; window_len];
     let mut response = vec![0.0; greens.sampling.len];

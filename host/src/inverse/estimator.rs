@@ -5,8 +5,8 @@ use faer::linalg::solvers::Llt;
 use faer::linalg::solvers::Solve as _;
 use faer::{Accum, Mat, MatRef, Par};
 
-use super::profile::{CommonProfile, WheelClass};
 use super::Prior;
+use super::profile::{CommonProfile, WheelClass};
 use crate::greens::GreensFunctions;
 use crate::greens::moving::{WheelPath, constant_force_response, kernel};
 use crate::track::Side;
@@ -18,7 +18,9 @@ pub enum InverseError {
     #[error("train speed must be positive, got {0} m/s")]
     Speed(f64),
     /// The covariance of the window is not positive definite.
-    #[error("covariance of a window of {len} samples is not positive definite; check noise ({noise_m_s2} m/s²) and prior")]
+    #[error(
+        "covariance of a window of {len} samples is not positive definite; check noise ({noise_m_s2} m/s²) and prior"
+    )]
     Covariance {
         /// Window length.
         len: usize,
@@ -113,8 +115,7 @@ impl Estimator {
         };
         let mut covariance = noise_covariance(prior, len);
         let mut profile_response = Mat::zeros(len, mean.grids.len());
-        let context =
-            Context { greens, static_force_n: geometry.static_force_n, prior, mean };
+        let context = Context { greens, static_force_n: geometry.static_force_n, prior, mean };
         let axles: Vec<AxleModel> = geometry
             .axle_offset_m
             .iter()
@@ -228,7 +229,8 @@ impl AxleModel {
         let step = 1.0 / (rate * prior.correlation_s);
         let sd_n: Vec<f64> = positions.iter().map(|x| prior.crossing_sd_n(&prior.own, *x)).collect();
         let root_n = prior.covariance_factor(&positions, &sd_n, step)?;
-        let stock_root_n = prior.covariance_factor(&positions, &vec![prior.own.stock_n; positions.len()], step)?;
+        let stock_root_n =
+            prior.covariance_factor(&positions, &vec![prior.own.stock_n; positions.len()], step)?;
         let mut static_m_s2 = vec![0.0; len];
         for side in [Side::Crossing, Side::Stock] {
             for (s, r) in static_m_s2.iter_mut().zip(constant_force_response(greens, side, &path, len)) {

@@ -123,7 +123,13 @@ impl SiteModel<'_> {
         Ok(self.collect(&statistics, log_evidence, &mean, covariance))
     }
 
-    fn collect(&self, statistics: &[Statistics], log_evidence: f64, mean: &Mat<f64>, covariance: Mat<f64>) -> SitePosterior {
+    fn collect(
+        &self,
+        statistics: &[Statistics],
+        log_evidence: f64,
+        mean: &Mat<f64>,
+        covariance: Mat<f64>,
+    ) -> SitePosterior {
         let m = mean.nrows();
         let common_shift_m = mean[(m - 1, 0)];
         let own = |s: &Statistics| {
@@ -132,7 +138,10 @@ impl SiteModel<'_> {
         };
         SitePosterior {
             log_evidence,
-            profile: CommonProfile { grids: self.grids.clone(), deviation_n: (0..m - 1).map(|i| mean[(i, 0)]).collect() },
+            profile: CommonProfile {
+                grids: self.grids.clone(),
+                deviation_n: (0..m - 1).map(|i| mean[(i, 0)]).collect(),
+            },
             covariance,
             common_shift_m,
             shift_m: statistics.iter().map(|s| common_shift_m + own(s)).collect(),
@@ -148,7 +157,8 @@ impl SiteModel<'_> {
         let mut log_likelihood = 0.0;
         let zero = CommonProfile::zero(self.grids.clone());
         for kind in kinds(self.pattern) {
-            let estimator = Estimator::new(self.greens, &self.geometry(&kind.offsets, passage), self.prior, &zero)?;
+            let estimator =
+                Estimator::new(self.greens, &self.geometry(&kind.offsets, passage), self.prior, &zero)?;
             for group in &kind.groups {
                 let columns = self.columns(&estimator, passage, *group);
                 let whitened = estimator.whiten(&columns);
@@ -161,7 +171,9 @@ impl SiteModel<'_> {
                     }
                 }
                 let n = estimator.len() as f64;
-                log_likelihood -= 0.5 * products[(last, last)] + estimator.log_det_half() + 0.5 * n * std::f64::consts::TAU.ln();
+                log_likelihood -= 0.5 * products[(last, last)]
+                    + estimator.log_det_half()
+                    + 0.5 * n * std::f64::consts::TAU.ln();
             }
         }
         Ok(self.eliminate_own_shift(&information, &vector, log_likelihood))
@@ -171,7 +183,8 @@ impl SiteModel<'_> {
     fn columns(&self, estimator: &Estimator, passage: &SitePassage, group: AxleGroup) -> Mat<f64> {
         let (n, m) = (estimator.len(), self.grids.len());
         let (rate, band) = (estimator.rate_hz, self.greens.sampling.band_hz);
-        let start = passage.timing.axle_s(self.pattern.offset_m[group.first]) - estimator.before as f64 / rate;
+        let start =
+            passage.timing.axle_s(self.pattern.offset_m[group.first]) - estimator.before as f64 / rate;
         let window = passage.recording.window(start, rate, n, band);
         let slope = passage.recording.window_slope(start, rate, n, band);
         let mut columns = Mat::zeros(n, m + 3);
@@ -185,7 +198,12 @@ impl SiteModel<'_> {
         columns
     }
 
-    fn eliminate_own_shift(&self, information: &Mat<f64>, vector: &Mat<f64>, log_likelihood: f64) -> Statistics {
+    fn eliminate_own_shift(
+        &self,
+        information: &Mat<f64>,
+        vector: &Mat<f64>,
+        log_likelihood: f64,
+    ) -> Statistics {
         let m = self.grids.len() + 1;
         let precision = information[(m, m)] + self.passage_shift_sd_m.powi(-2);
         let coupling = Mat::from_fn(m, 1, |i, _| information[(i, m)]);
@@ -229,9 +247,11 @@ pub fn kinds(pattern: &AxlePattern) -> Vec<GroupKind> {
     let mut kinds: Vec<GroupKind> = Vec::new();
     for group in pattern.groups() {
         let first = pattern.offset_m[group.first];
-        let own: Vec<f64> = pattern.offset_m[group.first..group.first + group.len].iter().map(|o| o - first).collect();
+        let own: Vec<f64> =
+            pattern.offset_m[group.first..group.first + group.len].iter().map(|o| o - first).collect();
         let same = |k: &&mut GroupKind| {
-            k.offsets.own.len() == own.len() && k.offsets.own.iter().zip(&own).all(|(a, b)| (a - b).abs() < 1e-6)
+            k.offsets.own.len() == own.len()
+                && k.offsets.own.iter().zip(&own).all(|(a, b)| (a - b).abs() < 1e-6)
         };
         match kinds.iter_mut().find(same) {
             Some(kind) => kind.groups.push(group),

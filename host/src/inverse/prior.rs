@@ -90,7 +90,8 @@ impl Prior {
         let slow = slow_amplitudes(positions_m, 2.0 * self.half_m);
         let cross = &free * &slow;
         let k = slow.ncols();
-        let inner = slow.transpose() * &cross + Mat::from_fn(k, k, |i, j| if i == j { self.slow_n.powi(2) } else { 0.0 });
+        let inner = slow.transpose() * &cross
+            + Mat::from_fn(k, k, |i, j| if i == j { self.slow_n.powi(2) } else { 0.0 });
         match inner.llt(faer::Side::Lower) {
             Ok(factor) => &free - &cross * factor.solve(cross.transpose()),
             Err(_) => free,

@@ -145,10 +145,18 @@ impl ProfileGrids {
     }
 
     /// Entries of the joint vector that make up the deviation of a wheel at `x_m`, with their weights.
-    pub fn entries(&self, side: Side, x_m: f64, class: WheelClass) -> impl Iterator<Item = (usize, f64)> + '_ {
+    pub fn entries(
+        &self,
+        side: Side,
+        x_m: f64,
+        class: WheelClass,
+    ) -> impl Iterator<Item = (usize, f64)> + '_ {
         self.parts.iter().filter(move |p| p.side == side).flat_map(move |p| {
             let weight = class.weight(p.regressor);
-            p.grid.splines(x_m).map(move |(i, value)| (p.first + i, weight * value)).filter(|(_, w)| *w != 0.0)
+            p.grid
+                .splines(x_m)
+                .map(move |(i, value)| (p.first + i, weight * value))
+                .filter(|(_, w)| *w != 0.0)
         })
     }
 

@@ -1,7 +1,7 @@
 //! Sleeper displacement from acceleration: integration in the frequency domain.
 
 use super::{Recording, Timing};
-use crate::signal::{mean, quantile, rfft, irfft, rms};
+use crate::signal::{irfft, mean, quantile, rfft, rms};
 use crate::vehicle::AxlePattern;
 
 /// Search for the high-pass corner (paper, section 1.1: the corner is optimised to remove the baseline distortion).
@@ -83,7 +83,8 @@ pub fn complementary_displacement(
     }
     let low = irfft(&spectrum, padded);
     let sum: Vec<f64> = measured.iter().zip(&low).map(|(a, b)| a + b).collect();
-    let level = mean(&pick(&sum, &quiet_samples(recording, timing, pattern, HighPassSearch::default().clear_m)));
+    let level =
+        mean(&pick(&sum, &quiet_samples(recording, timing, pattern, HighPassSearch::default().clear_m)));
     sum.iter().map(|v| v - level).collect()
 }
 

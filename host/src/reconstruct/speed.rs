@@ -45,7 +45,12 @@ pub fn estimate_speed(recording: &Recording, pattern: &AxlePattern, search: Spee
     Some(speed)
 }
 
-fn maximum(recording: &Recording, pattern: &AxlePattern, speeds: &[f64], band: [f64; 2]) -> Option<(usize, Vec<f64>)> {
+fn maximum(
+    recording: &Recording,
+    pattern: &AxlePattern,
+    speeds: &[f64],
+    band: [f64; 2],
+) -> Option<(usize, Vec<f64>)> {
     let lines: Vec<(f64, f64)> = recording
         .spectrum()
         .iter()

@@ -45,7 +45,9 @@ pub(super) fn figure(analysis: &Analysis) -> Result<Figure, ReportError> {
         Layer::Line {
             points: spread.iter().map(|s| (s.x, s.mean)).collect(),
             color: BLUE,
-            opacity: 1.0, width: 3 },
+            opacity: 1.0,
+            width: 3,
+        },
         Layer::Dashed { points: mode, color: RED, width: 3 },
         Layer::Dashed { points: vec![(0.0, range.0), (0.0, range.1)], color: ORANGE, width: 2 },
         Layer::Word {

@@ -61,9 +61,9 @@ pub fn peak_summary(rows: &[PeakComparison]) -> String {
             quantile(&errors, 0.9)
         )
     };
-    let covered = rows.iter().filter(|r| {
-        r.truth_n.is_some_and(|truth| r.host_n.lower <= truth && truth <= r.host_n.upper)
-    });
+    let covered = rows
+        .iter()
+        .filter(|r| r.truth_n.is_some_and(|truth| r.host_n.lower <= truth && truth <= r.host_n.upper));
     let known = rows.iter().filter(|r| r.truth_n.is_some()).count();
     format!(
         "{}{}{} of {known} true peaks lie inside the 90 % interval of the host\n",

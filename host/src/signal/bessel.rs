@@ -34,7 +34,9 @@ impl AntiAlias {
 fn reverse_bessel_polynomial(order: usize) -> Vec<f64> {
     let factorial = |n: usize| (1..=n).map(|k| k as f64).product::<f64>();
     (0..=order)
-        .map(|k| factorial(2 * order - k) / (2f64.powi((order - k) as i32) * factorial(k) * factorial(order - k)))
+        .map(|k| {
+            factorial(2 * order - k) / (2f64.powi((order - k) as i32) * factorial(k) * factorial(order - k))
+        })
         .collect()
 }
 

@@ -13,7 +13,10 @@ impl CubicSpline {
     /// Through points with strictly ascending `x`; `None` when there are fewer than two, the lengths differ or the
     /// abscissae do not ascend.
     pub fn new(x: &[f64], y: &[f64]) -> Option<Self> {
-        if x.len() < 2 || x.len() != y.len() || x.windows(2).any(|w| w[1].partial_cmp(&w[0]) != Some(std::cmp::Ordering::Greater)) {
+        if x.len() < 2
+            || x.len() != y.len()
+            || x.windows(2).any(|w| w[1].partial_cmp(&w[0]) != Some(std::cmp::Ordering::Greater))
+        {
             return None;
         }
         Some(Self { x: x.to_vec(), y: y.to_vec(), curvature: natural_curvature(x, y) })
@@ -40,7 +43,9 @@ impl CubicSpline {
     fn slope(&self, i: usize, b: f64) -> f64 {
         let h = self.x[i + 1] - self.x[i];
         let a = 1.0 - b;
-        (self.y[i + 1] - self.y[i]) / h + h / 6.0 * ((1.0 - 3.0 * a * a) * self.curvature[i] + (3.0 * b * b - 1.0) * self.curvature[i + 1])
+        (self.y[i + 1] - self.y[i]) / h
+            + h / 6.0
+                * ((1.0 - 3.0 * a * a) * self.curvature[i] + (3.0 * b * b - 1.0) * self.curvature[i + 1])
     }
 }
 

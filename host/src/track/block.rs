@@ -82,7 +82,8 @@ pub fn invert<const B: usize>(mut a: Block<B>) -> Block<B> {
     let mut inv: Block<B> =
         std::array::from_fn(|i| std::array::from_fn(|j| if i == j { c64::new(1.0, 0.0) } else { ZERO }));
     for col in 0..B {
-        let pivot = (col..B).max_by(|p, q| a[*p][col].norm_sqr().total_cmp(&a[*q][col].norm_sqr())).unwrap_or(col);
+        let pivot =
+            (col..B).max_by(|p, q| a[*p][col].norm_sqr().total_cmp(&a[*q][col].norm_sqr())).unwrap_or(col);
         a.swap(col, pivot);
         inv.swap(col, pivot);
         let scale = c64::new(1.0, 0.0) / a[col][col];
@@ -110,11 +111,15 @@ mod tests {
 
     #[test]
     fn property_solution_satisfies_the_system() {
-        let value = |i: usize, j: usize, s: f64| c64::new((1.3 * i as f64 - 0.7 * j as f64 + s).sin(), (0.3 * (i + j) as f64).cos());
+        let value = |i: usize, j: usize, s: f64| {
+            c64::new((1.3 * i as f64 - 0.7 * j as f64 + s).sin(), (0.3 * (i + j) as f64).cos())
+        };
         let block = |s: f64| -> Block<2> { std::array::from_fn(|i| std::array::from_fn(|j| value(i, j, s))) };
         let symmetric = |s: f64| -> Block<2> {
             let b = block(s);
-            std::array::from_fn(|i| std::array::from_fn(|j| b[i][j] + b[j][i] + if i == j { c64::new(9.0, 2.0) } else { ZERO }))
+            std::array::from_fn(|i| {
+                std::array::from_fn(|j| b[i][j] + b[j][i] + if i == j { c64::new(9.0, 2.0) } else { ZERO })
+            })
         };
         let diagonal: Vec<Block<2>> = (0..5).map(|k| symmetric(k as f64)).collect();
         let upper: Vec<Block<2>> = (0..4).map(|k| block(0.5 + k as f64)).collect();

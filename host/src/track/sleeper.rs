@@ -47,8 +47,14 @@ pub type Compliance = [[c64; 3]; 3];
 
 impl SleeperBeam {
     /// Nodes at the ends, seats and sensor, with elements of about `step_m` between them.
-    pub fn new(section: BeamSection, damping_stiffness_proportional_s: f64, layout: SleeperLayout, step_m: f64) -> Self {
-        let mut fixed = vec![0.0, layout.seat_stock_y_m, layout.seat_crossing_y_m, layout.sensor_y_m, layout.length_m];
+    pub fn new(
+        section: BeamSection,
+        damping_stiffness_proportional_s: f64,
+        layout: SleeperLayout,
+        step_m: f64,
+    ) -> Self {
+        let mut fixed =
+            vec![0.0, layout.seat_stock_y_m, layout.seat_crossing_y_m, layout.sensor_y_m, layout.length_m];
         fixed.sort_by(f64::total_cmp);
         fixed.dedup_by(|a, b| (*a - *b).abs() < 1e-9);
         let mut y_m = vec![fixed[0]];

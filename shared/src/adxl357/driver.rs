@@ -81,6 +81,11 @@ impl<S: SpiDevice> Adxl357<S> {
         Ok(part)
     }
 
+    /// The bus, for whoever simulates it.
+    pub fn bus(&mut self) -> &mut S {
+        &mut self.spi
+    }
+
     /// Takes everything out of the FIFO into `batch`. `now_us`: the clock of [`Adxl357::start`], µs; it is used only
     /// after an overrun, where the part does not tell how many samples are gone (right to ±1 sample).
     pub async fn drain(&mut self, now_us: u64, batch: &mut Batch) -> Result<(), Error<S::Error>> {

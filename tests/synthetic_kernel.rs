@@ -16,10 +16,9 @@ const GRID: u16 = 121;
 /// The package of a site of this name.
 pub fn package(site: &str) -> Vec<u8> {
     let mut payload = Payload { bytes: Vec::new(), random: 1 };
-    let bins = BINS_M_S.iter().map(|&speed_m_s| Bin {
-        speed_m_s,
-        operators: [payload.operator(speed_m_s)].into_iter().collect(),
-    });
+    let bins = BINS_M_S
+        .iter()
+        .map(|&speed_m_s| Bin { speed_m_s, operators: [payload.operator(speed_m_s)].into_iter().collect() });
     let header = Header {
         format: package::FORMAT,
         provenance: Provenance {
@@ -56,7 +55,9 @@ fn train() -> Train {
         name: "X2".try_into().unwrap(),
         axle_offset_m: (0..3).flat_map(car).collect(),
         static_force_n: 76_000.0,
-        groups: (0..6).map(|k| Group { first_axle: 2 * k, axles: AXLES_PER_GROUP as u8, operator: 0 }).collect(),
+        groups: (0..6)
+            .map(|k| Group { first_axle: 2 * k, axles: AXLES_PER_GROUP as u8, operator: 0 })
+            .collect(),
     }
 }
 

@@ -54,22 +54,35 @@ pub struct Downloaded {
     pub overwritten: u32,
 }
 
-/// Length of pieces: shorter after a failure, longer again when it goes well.
-struct PieceLength(usize);
+/// Length of pieces: half after a failure, double again after many that went well.
+struct PieceLength {
+    bytes: usize,
+    went_well: u32,
+}
 
 impl PieceLength {
-    fn failed(&mut self) -> bool {
-        let more = self.can_be_shorter();
-        self.0 = (self.0 / 2).max(SHORTEST_PIECE);
-        more
+    /// A try of a longer piece costs seconds when it fails.
+    const BEFORE_LONGER: u32 = 256;
+
+    fn new() -> Self {
+        PieceLength { bytes: MAX_CHUNK, went_well: 0 }
     }
 
     fn can_be_shorter(&self) -> bool {
-        self.0 > SHORTEST_PIECE
+        self.bytes > SHORTEST_PIECE
+    }
+
+    fn failed(&mut self) -> bool {
+        let more = self.can_be_shorter();
+        *self = PieceLength { bytes: (self.bytes / 2).max(SHORTEST_PIECE), went_well: 0 };
+        more
     }
 
     fn went_well(&mut self) {
-        self.0 = (self.0 + SHORTEST_PIECE).min(MAX_CHUNK);
+        self.went_well += 1;
+        if self.went_well == Self::BEFORE_LONGER {
+            *self = PieceLength { bytes: (2 * self.bytes).min(MAX_CHUNK), went_well: 0 };
+        }
     }
 }
 
@@ -116,10 +129,10 @@ impl NodeClient {
         sent: &mut u64,
         progress: &mut dyn FnMut(Piece),
     ) -> Result<(), ClientError> {
-        let (mut length, total) = (PieceLength(MAX_CHUNK), package.len() as u64);
+        let (mut length, total) = (PieceLength::new(), package.len() as u64);
         while let Some(rest) = package.get(*received as usize..).filter(|rest| !rest.is_empty()) {
             progress(Piece { done: u64::from(*received), total });
-            let piece = &rest[..rest.len().min(length.0)];
+            let piece = &rest[..rest.len().min(length.bytes)];
             match self.impatient(length.can_be_shorter(), |client| client.upload_chunk(*received, piece)) {
                 Ok(now) => {
                     *sent += u64::from(now.received.saturating_sub(*received));
@@ -200,10 +213,10 @@ impl NodeClient {
         part: &mut Part,
         progress: &mut dyn FnMut(u64),
     ) -> Result<(), ClientError> {
-        let mut length = PieceLength(MAX_CHUNK);
+        let mut length = PieceLength::new();
         while part.tail.len() < usize::from(entry.length) {
             progress(part.length);
-            let wanted = (usize::from(entry.length) - part.tail.len()).min(length.0);
+            let wanted = (usize::from(entry.length) - part.tail.len()).min(length.bytes);
             let offset = part.tail.len() as u32;
             let read = |client: &mut Self| client.read(entry.sequence, offset, wanted as u16);
             match self.impatient(length.can_be_shorter(), read) {

@@ -232,6 +232,16 @@ fn sensor_off_the_sleeper() {
     site_refused(dir.path(), &["sensor.y_m", "3.8"]);
 }
 
+/// `truth.*` beside the recordings changes nothing, whatever it holds.
+#[test]
+fn truth_is_never_read() {
+    let (dir, site) = sound(Format::Parquet);
+    std::fs::write(dir.path().join("truth.parquet"), "garbage").unwrap();
+    std::fs::create_dir(dir.path().join("truth.toml")).unwrap();
+    let read = read_site(dir.path()).unwrap();
+    assert_eq!((read.passages, read.crossing), (site.passages, site.crossing));
+}
+
 // --- The Parquet file -----------------------------------------------------------------------------------------
 
 #[test]

@@ -6,7 +6,9 @@ use std::sync::{Arc, Mutex, OnceLock};
 use std::time::Duration;
 
 use cpcm::node_client::{ClientError, Downloaded, NodeClient, Patience, Piece};
-use cpcm::node_sim::{Listener, MemoryNor, SharedNode, SimulatedNode, codes_of_site, in_process};
+use cpcm::node_sim::{
+    Listener, MemoryNor, SharedNode, SimulatedNode, codes_of_site, in_process, with_kernel,
+};
 use cpcm::recording::read_site;
 use cpcm_shared::bank;
 use cpcm_shared::checksum::crc32;
@@ -28,8 +30,7 @@ const QUICK: Patience = Patience {
 fn measured() -> &'static (Vec<u8>, Vec<u8>) {
     static FLASH: OnceLock<(Vec<u8>, Vec<u8>)> = OnceLock::new();
     FLASH.get_or_init(|| {
-        let node = shared(MemoryNor::blank());
-        client(&node).upload_kernel(&synthetic_kernel::package("GN 648"), &mut |_| {}).unwrap();
+        let node = with_kernel(&synthetic_kernel::package("GN 648")).unwrap();
         let site = read_site(&field("reference-1")).unwrap();
         node.lock().unwrap().sense(codes_of_site(&site).unwrap(), |_| {});
         let dir = tempfile::tempdir().unwrap();

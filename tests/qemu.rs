@@ -8,7 +8,7 @@ use std::sync::{Arc, Mutex, OnceLock};
 use std::time::{Duration, Instant};
 
 use cpcm::node_client::{ClientError, NodeClient, parse_records};
-use cpcm::node_sim::{MemoryNor, Qemu, SharedNode, SimulatedNode, codes_of_site, in_process};
+use cpcm::node_sim::{MemoryNor, Qemu, SharedNode, SimulatedNode, codes_of_site, in_process, with_kernel};
 use cpcm::recording::read_site;
 use cpcm_shared::image::EXIT_WHEN_DONE;
 use cpcm_shared::message::{Activity, Live};
@@ -32,10 +32,7 @@ fn codes() -> Vec<SensorCode> {
 
 /// A flash with a kernel in force and no records.
 fn flash_with_kernel() -> MemoryNor {
-    let node = shared(MemoryNor::blank());
-    let mut client = NodeClient::over(in_process(node.clone()));
-    client.upload_kernel(&synthetic_kernel::package("GN 648"), &mut |_| {}).unwrap();
-    drop(client);
+    let node = with_kernel(&synthetic_kernel::package("GN 648")).unwrap();
     Arc::into_inner(node).unwrap().into_inner().unwrap().into_flash()
 }
 

@@ -2,7 +2,8 @@
 
 use std::path::Path;
 
-use cpcm::report;
+use cpcm::report::{self, verification};
+use cpcm::verification::{Case, Curves, Verification};
 use cpcm_tests::sample::sample_analysis;
 
 /// Also leaves the page in the target directory, for a look with a browser.
@@ -39,4 +40,30 @@ fn regress_page_with_missing_numbers_is_drawn() {
     analysis.passages[2].axle_times_s.clear();
     analysis.indicators.peak_force_n.threshold = 0.0;
     assert!(report::html(&analysis).is_ok());
+}
+
+#[test]
+fn regress_verification_page_shows_failures() {
+    let case = |name: &str, found| Case {
+        name: name.into(),
+        source: "closed form, test".into(),
+        unit: "m",
+        expected: 1.0,
+        found,
+        tolerance: 0.01,
+        curves: Some(Curves {
+            x_caption: "frequency, Hz",
+            y_caption: "receptance, m/N",
+            x: (0..100).map(f64::from).collect(),
+            expected: (0..100).map(|i| 1.0 / (1.0 + f64::from(i))).collect(),
+            found: (0..100).map(|i| found / (1.0 + f64::from(i))).collect(),
+        }),
+    };
+    let result = Verification { cases: vec![case("first", 1.001), case("second", 1.5)] };
+    let page = verification::html(&result).unwrap();
+    assert!(page.contains("1 of 2 checks failed"));
+    assert_eq!(page.matches("<svg").count(), 2);
+    assert_eq!(verification::table(&result).matches("FAILED").count(), 1);
+    assert!(verification::csv(&result).lines().nth(2).unwrap().ends_with(",0.5,0.01,false"));
+    std::fs::write(Path::new(env!("CARGO_TARGET_TMPDIR")).join("verification.html"), &page).unwrap();
 }

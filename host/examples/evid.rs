@@ -12,7 +12,13 @@ fn main() {
     let site = cpcm::recording::read_site(std::path::Path::new(&dir)).unwrap();
     let c = &site.crossing;
     let dirn = c.traffic_direction.sign();
-    let track = Track::of_crossing(c, Mesh::default());
+    let track = Track::of_crossing(
+        c,
+        Mesh {
+            rail_step_m: std::env::var("RM").map_or(0.3, |s| s.parse().unwrap()),
+            sleeper_step_m: std::env::var("SM").map_or(0.25, |s| s.parse().unwrap()),
+        },
+    );
     let pattern = AxlePattern::of_vehicle(&c.vehicle);
     let recs: Vec<Recording> = site.passages.iter().map(|p| Recording::new(p, &c.sensor)).collect();
     let speeds: Vec<f64> =

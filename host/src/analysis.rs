@@ -7,7 +7,8 @@ use crate::recording::{Crossing, Scan, Skipped};
 pub struct Analysis {
     /// Site description.
     pub crossing: Crossing,
-    /// Laser scan, where there is one (for comparison only; never used in the identification).
+    /// Laser scan, where there is one, band-passed like the irregularities (for comparison only; never used in the
+    /// identification).
     pub scan: Option<Scan>,
     /// Calibrated ballast.
     pub ballast: BallastEstimate,

@@ -9,7 +9,6 @@ mod kernel;
 pub mod node;
 mod output;
 mod progress;
-mod verify;
 
 use std::process::ExitCode;
 
@@ -37,7 +36,6 @@ enum Command {
     Analyse(analyse::AnalyseArgs),
     Kernel(kernel::KernelArgs),
     Node(node::NodeArgs),
-    Verify(verify::VerifyArgs),
     Convert(convert::ConvertArgs),
 }
 
@@ -49,7 +47,6 @@ pub fn main() -> ExitCode {
         Command::Analyse(args) => args.run(),
         Command::Kernel(args) => args.run(),
         Command::Node(args) => args.run(),
-        Command::Verify(args) => args.run(),
         Command::Convert(args) => args.run(),
     };
     match result {

@@ -2,6 +2,7 @@
 //! (paper, section 4.1, eq. 4-8; GKFM-FR).
 
 pub mod moving;
+pub mod moving_response;
 
 use faer::c64;
 

@@ -13,6 +13,8 @@ mod listener;
 mod memory;
 mod qemu;
 
+use std::sync::{Arc, Mutex, PoisonError};
+
 use cpcm_shared::acquire::Acquisition;
 use cpcm_shared::adxl357::model::Model;
 use cpcm_shared::adxl357::{Adxl357, Batch, WATERMARK_SAMPLES};
@@ -28,10 +30,45 @@ use cpcm_shared::storage::{InForce, Map, Payload, Storage};
 use embassy_futures::block_on;
 use embedded_hal_async::spi::{ErrorType, Operation, SpiDevice};
 
+use crate::node_client::{ClientError, NodeClient};
+use crate::progress::Progress;
+use crate::recording::Site;
+
 pub use feed::{FeedError, codes_of_site};
 pub use listener::{Listener, SharedNode, in_process};
 pub use memory::MemoryNor;
 pub use qemu::{Qemu, QemuError, find_elf};
+
+/// A site cannot be simulated.
+#[derive(Debug, thiserror::Error)]
+pub enum SimulateError {
+    /// The recordings.
+    #[error(transparent)]
+    Feed(#[from] FeedError),
+    /// The kernel package.
+    #[error("the simulated node does not take the kernel package")]
+    Package(#[from] ClientError),
+}
+
+/// What a node with this package records of the passages of a site, in their order.
+pub fn records(site: &Site, package: &[u8], progress: &dyn Progress) -> Result<Vec<Record>, SimulateError> {
+    let codes = codes_of_site(site)?;
+    let node = with_kernel(package)?;
+    progress.begin("node", site.passages.len() as u64);
+    let mut records = Vec::new();
+    node.lock().unwrap_or_else(PoisonError::into_inner).sense(codes, |record| {
+        progress.step();
+        records.push(record.clone());
+    });
+    Ok(records)
+}
+
+/// A node with a blank journal and this package in force.
+pub fn with_kernel(package: &[u8]) -> Result<SharedNode, ClientError> {
+    let node = Arc::new(Mutex::new(SimulatedNode::start(MemoryNor::blank())));
+    NodeClient::over(in_process(node.clone())).upload_kernel(package, &mut |_| {})?;
+    Ok(node)
+}
 
 /// A simulated node, and what it would keep in flash.
 pub struct SimulatedNode {

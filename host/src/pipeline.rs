@@ -1,12 +1,21 @@
-//! Placeholder so that the command line compiles until the pipeline is merged: every call fails.
+//! The whole chain: site in, analysis or kernel package out.
 
-use cpcm_shared::record::Record;
-
-use crate::analysis::Analysis;
+use crate::analysis::{Analysis, BallastEstimate, Interval, PassageResult, WheelsetResult};
+use crate::ballast::BallastParameters;
+use crate::forces::{LOW_PASS_HZ, WheelForce, all_wheel_forces};
+use crate::greens::moving::{WheelPath, constant_force_response};
+use crate::greens::moving_response::RailGreens;
+use crate::greens::{Chain, GreensFunctions, GreensSampling, Quantity};
+use crate::identify::{IdentifiedSite, IdentifyError, identify};
+use crate::indicator::indicators;
+use crate::inverse::InverseError;
+use crate::irregularity::{LONGEST_WAVELENGTH_M, irregularity, on_grid};
+use crate::kernel::{HALF_WIDTH_90, KernelError};
 use crate::progress::Progress;
-use crate::recording::truth::WheelTruth;
-use crate::recording::{Crossing, Site};
-use crate::verification::Verification;
+use crate::reconstruct::complementary_displacement;
+use crate::recording::{Scan, Site};
+use crate::signal::{CubicSpline, brick_band, mean, resample, rms};
+use crate::track::Side;
 
 /// Choices in the analysis.
 #[derive(Clone, Debug, Default)]
@@ -15,44 +24,291 @@ pub struct AnalyseOptions {}
 /// Why an analysis fails.
 #[derive(Debug, thiserror::Error)]
 pub enum PipelineError {
-    /// No pipeline yet.
-    #[error("the analysis is not part of this build")]
-    Missing,
+    /// Recordings or calibration.
+    #[error(transparent)]
+    Identify(#[from] IdentifyError),
+    /// Force estimate.
+    #[error(transparent)]
+    Inverse(#[from] InverseError),
+    /// Kernel package.
+    #[error(transparent)]
+    Kernel(#[from] KernelError),
 }
 
 /// The whole method on one site.
 pub fn analyse(
-    _site: &Site,
+    site: &Site,
     _options: &AnalyseOptions,
-    _progress: &dyn Progress,
+    progress: &dyn Progress,
 ) -> Result<Analysis, PipelineError> {
-    Err(PipelineError::Missing)
+    let identified = identify(site, progress)?;
+    evaluate(&identified, progress)
 }
 
 /// The kernel package for the node, encoded.
 pub fn kernel(
-    _site: &Site,
+    site: &Site,
     _options: &AnalyseOptions,
-    _progress: &dyn Progress,
+    progress: &dyn Progress,
 ) -> Result<Vec<u8>, PipelineError> {
-    Err(PipelineError::Missing)
+    let identified = identify(site, progress)?;
+    package(&identified, progress)
 }
 
-/// What a node with this package records of the passages of the site, one record per passage in site order.
-pub fn simulate_node(
-    _site: &Site,
-    _package: &[u8],
-    _progress: &dyn Progress,
-) -> Result<Vec<Record>, PipelineError> {
-    Err(PipelineError::Missing)
+/// The kernel package of a site that has been identified.
+pub fn package(identified: &IdentifiedSite, progress: &dyn Progress) -> Result<Vec<u8>, PipelineError> {
+    progress.begin("kernel package", crate::kernel::bin_count(identified) as u64);
+    Ok(crate::kernel::package(identified, &|| progress.step())?)
 }
 
-/// Largest true force of a wheel in the transition region, low-passed at 250 Hz as the identified one, newtons.
-pub fn true_peak_n(_wheel: &WheelTruth, _crossing: &Crossing) -> f64 {
-    f64::NAN
+/// Model displacement is computed at this rate, Hz: the static response holds nothing above 60 Hz.
+const MODEL_RATE_HZ: f64 = 400.0;
+/// Below this the model supplies the displacement, Hz (measured: `docs/method.md`).
+const COMPLEMENT_HZ: f64 = 3.0;
+/// Step of the result grid, metres (contract).
+const GRID_STEP_M: f64 = 0.01;
+/// Recording traces in the results are decimated to this rate, Hz.
+const TRACE_RATE_HZ: f64 = 1000.0;
+/// Speed below which the method is weak, m/s: 40 km/h (paper, section 6.3).
+const LOW_SPEED_M_S: f64 = 40.0 / 3.6;
+
+/// Forces, irregularity, displacement and indicators of a site that has been identified.
+pub fn evaluate(identified: &IdentifiedSite, progress: &dyn Progress) -> Result<Analysis, PipelineError> {
+    let site = identified.site;
+    progress.begin("contact forces", site.passages.len() as u64);
+    let forces = all_wheel_forces(identified, &|| progress.step())?;
+    let grid = result_grid(identified);
+    let rail = rail_greens(identified);
+    let displacement_greens = displacement_greens(identified);
+    progress.begin("irregularity and displacement", site.passages.len() as u64);
+    let passages: Vec<PassageResult> = (0..site.passages.len())
+        .map(|i| {
+            progress.step();
+            passage_result(identified, i, &forces[i], &rail, &displacement_greens, &grid)
+        })
+        .collect();
+    let indicators = indicators(&passages, &grid, identified.static_force_n[0]);
+    Ok(Analysis {
+        crossing: site.crossing.clone(),
+        scan: site.scan.as_ref().map(|s| banded_scan(s, identified)),
+        ballast: ballast_estimate(identified, &passages),
+        passages,
+        indicators,
+        skipped: site.skipped.clone(),
+    })
 }
 
-/// All checks of the model.
-pub fn verify(_progress: &dyn Progress) -> Result<Verification, PipelineError> {
-    Err(PipelineError::Missing)
+fn result_grid(identified: &IdentifiedSite) -> Vec<f64> {
+    let [low, high] = identified.prior.region_m;
+    let count = ((high - low) / GRID_STEP_M).round() as usize + 1;
+    (0..count).map(|i| low + i as f64 * GRID_STEP_M).collect()
+}
+
+fn distribution(identified: &IdentifiedSite) -> Vec<f64> {
+    let track = &identified.track;
+    identified.ballast.parameters.distribution(track.sleeper_x_m.len(), track.sensor_sleeper)
+}
+
+fn rail_greens(identified: &IdentifiedSite) -> RailGreens {
+    let rate = identified.greens.sampling.rate_hz;
+    RailGreens::new(
+        &identified.track,
+        &distribution(identified),
+        Side::Crossing,
+        identified.prior.half_m,
+        rate,
+    )
+}
+
+fn displacement_greens(identified: &IdentifiedSite) -> GreensFunctions {
+    let sampling = GreensSampling { rate_hz: MODEL_RATE_HZ, ..GreensSampling::low() };
+    GreensFunctions::new(
+        &identified.track,
+        &distribution(identified),
+        sampling,
+        Quantity::Displacement,
+        &Chain::Corrected,
+    )
+}
+
+fn passage_result(
+    identified: &IdentifiedSite,
+    index: usize,
+    forces: &[WheelForce],
+    rail: &RailGreens,
+    displacement_greens: &GreensFunctions,
+    grid: &[f64],
+) -> PassageResult {
+    let (passage, recording) = (&identified.site.passages[index], &identified.recordings[index]);
+    let timing = identified.timings[index];
+    let flags = flags(identified, index);
+    let wheelsets =
+        forces.iter().map(|f| wheelset_result(identified, index, f, rail, grid, flags.clone())).collect();
+    let samples = (recording.duration_s() * TRACE_RATE_HZ) as usize;
+    let model = model_displacement(identified, index, displacement_greens);
+    let model_raw = resample(&model, recording.len);
+    let displacement =
+        complementary_displacement(recording, timing, &identified.pattern, &model_raw, COMPLEMENT_HZ);
+    PassageResult {
+        passage_id: passage.passage_id,
+        speed_m_s: timing.speed_m_s,
+        temperature_c: passage.temperature_c,
+        axle_times_s: identified.pattern.offset_m.iter().map(|o| timing.axle_s(*o)).collect(),
+        trace_rate_hz: TRACE_RATE_HZ,
+        acceleration_m_s2: recording.window(0.0, TRACE_RATE_HZ, samples, [LOW_PASS_HZ, 1.05 * LOW_PASS_HZ]),
+        displacement_m: resample(&displacement, samples),
+        model_displacement_m: resample(&model, samples),
+        wheelsets,
+    }
+}
+
+/// Displacement of the calibrated model under constant wheel forces, at [`MODEL_RATE_HZ`], over the recording.
+fn model_displacement(identified: &IdentifiedSite, index: usize, greens: &GreensFunctions) -> Vec<f64> {
+    let timing = identified.timings[index];
+    let samples = (identified.recordings[index].duration_s() * MODEL_RATE_HZ).round() as usize;
+    let mut sum = vec![0.0; samples];
+    for offset in &identified.pattern.offset_m {
+        let path = WheelPath {
+            direction: identified.direction,
+            speed_m_s: timing.speed_m_s,
+            time_at_origin_s: timing.axle_s(*offset),
+        };
+        for side in [Side::Crossing, Side::Stock] {
+            for (s, r) in sum.iter_mut().zip(constant_force_response(greens, side, &path, samples)) {
+                *s += identified.static_force_n[index] * r;
+            }
+        }
+    }
+    sum
+}
+
+fn flags(identified: &IdentifiedSite, index: usize) -> Vec<String> {
+    let mut flags = Vec::new();
+    if identified.timings[index].speed_m_s < LOW_SPEED_M_S {
+        flags.push("low-speed".into());
+    }
+    if identified.recordings[index].max_m_s2 >= 0.999 * identified.site.crossing.sensor.range_m_s2 {
+        flags.push("clipped".into());
+    }
+    if identified.site.passages[index].train_type != identified.site.crossing.vehicle.kind {
+        flags.push("unknown-train".into());
+    }
+    flags
+}
+
+fn wheelset_result(
+    identified: &IdentifiedSite,
+    index: usize,
+    force: &WheelForce,
+    rail: &RailGreens,
+    grid: &[f64],
+    flags: Vec<String>,
+) -> WheelsetResult {
+    let on = |values: &[f64]| on_grid(&force.position_m, values, grid);
+    let contact_force_n = on(&force.force_n);
+    let half: Vec<f64> = on(&force.sd_n).iter().map(|s| HALF_WIDTH_90 * s).collect();
+    let (peak, peak_position_m) = peak(grid, &contact_force_n);
+    let at_peak = (0..grid.len())
+        .min_by(|a, b| (grid[*a] - peak_position_m).abs().total_cmp(&(grid[*b] - peak_position_m).abs()))
+        .unwrap_or(0);
+    let irregularity_m = irregularity(
+        force,
+        identified.timings[index].speed_m_s,
+        identified.static_force_n[index],
+        rail,
+        &identified.site.crossing.vehicle,
+        grid,
+    );
+    WheelsetResult {
+        wheelset: force.wheelset,
+        position_m: grid.to_vec(),
+        lower_n: contact_force_n.iter().zip(&half).map(|(f, h)| f - h).collect(),
+        upper_n: contact_force_n.iter().zip(&half).map(|(f, h)| f + h).collect(),
+        contact_force_n,
+        peak_force_n: Interval { value: peak, lower: peak - half[at_peak], upper: peak + half[at_peak] },
+        peak_position_m,
+        irregularity_rms_m: rms(&irregularity_m),
+        irregularity_m,
+        flags,
+    }
+}
+
+/// Largest value and its position, both refined by a parabola through the three largest neighbours.
+fn peak(grid: &[f64], force: &[f64]) -> (f64, f64) {
+    let i = (0..force.len()).max_by(|a, b| force[*a].total_cmp(&force[*b])).unwrap_or(0);
+    if i == 0 || i + 1 >= force.len() {
+        return (force[i], grid[i]);
+    }
+    let (l, m, r) = (force[i - 1], force[i], force[i + 1]);
+    let curvature = l - 2.0 * m + r;
+    if curvature >= 0.0 {
+        return (m, grid[i]);
+    }
+    let offset = (0.5 * (l - r) / curvature).clamp(-1.0, 1.0);
+    (m - 0.25 * (l - r) * offset, grid[i] + offset * (grid[i] - grid[i - 1]))
+}
+
+/// The scan in the band of the irregularities, at the mean speed.
+fn banded_scan(scan: &Scan, identified: &IdentifiedSite) -> Scan {
+    let speed = mean(&identified.timings.iter().map(|t| t.speed_m_s).collect::<Vec<_>>());
+    let step = GRID_STEP_M;
+    // The scan is continued by a smooth rail, far enough that the filter does not see the ends.
+    let reach = 6.0;
+    let Some(spline) = CubicSpline::new(&scan.position_m, &scan.irregularity_m) else { return scan.clone() };
+    let (first, last) = (scan.position_m[0], scan.position_m[scan.position_m.len() - 1]);
+    let x: Vec<f64> = (0..(2.0 * reach / step) as usize).map(|i| -reach + i as f64 * step).collect();
+    let z: Vec<f64> =
+        x.iter().map(|p| if (first..=last).contains(p) { spline.at(*p) } else { 0.0 }).collect();
+    let banded = brick_band(&z, 1.0 / step, 1.0 / LONGEST_WAVELENGTH_M, LOW_PASS_HZ / speed);
+    let inside: Vec<usize> = (0..x.len()).filter(|i| (first..=last).contains(&x[*i])).collect();
+    Scan {
+        position_m: inside.iter().map(|i| x[*i]).collect(),
+        irregularity_m: inside.iter().map(|i| banded[*i]).collect(),
+    }
+}
+
+/// Parameters with 90 % intervals, and the stiffness of every sleeper with the interval that follows from them.
+fn ballast_estimate(identified: &IdentifiedSite, passages: &[PassageResult]) -> BallastEstimate {
+    let fit = &identified.ballast;
+    let p = fit.parameters;
+    let sd = |i: usize| HALF_WIDTH_90 * fit.covariance[i][i].sqrt();
+    let log =
+        |value: f64, i: usize| Interval { value, lower: value * (-sd(i)).exp(), upper: value * sd(i).exp() };
+    let crossing = identified.track.sensor_sleeper;
+    let stiffness_n_m2 = (0..identified.track.sleeper_x_m.len())
+        .map(|s| sleeper_interval(&p, &fit.covariance, s as i64 - crossing as i64))
+        .collect();
+    let difference: Vec<f64> = passages
+        .iter()
+        .map(|r| {
+            let e: Vec<f64> =
+                r.displacement_m.iter().zip(&r.model_displacement_m).map(|(a, b)| a - b).collect();
+            rms(&e) / rms(&r.displacement_m).max(f64::MIN_POSITIVE)
+        })
+        .collect();
+    BallastEstimate {
+        p1_n_m2: log(p.p1_n_m2, 0),
+        p2_n_m2: log(p.p2_n_m2, 1),
+        p3: Interval { value: p.p3, lower: (p.p3 - sd(2)).max(0.0), upper: (p.p3 + sd(2)).min(1.0) },
+        stiffness_n_m2,
+        misfit: mean(&difference),
+    }
+}
+
+/// First-order propagation of the parameters' covariance to one sleeper.
+fn sleeper_interval(p: &BallastParameters, covariance: &[[f64; 3]; 3], offset: i64) -> Interval {
+    let value = p.at_offset(offset);
+    let step = 1e-4;
+    let moved = [
+        BallastParameters { p1_n_m2: p.p1_n_m2 * (1.0 + step), ..*p },
+        BallastParameters { p2_n_m2: p.p2_n_m2 * (1.0 + step), ..*p },
+        BallastParameters { p3: p.p3 + step, ..*p },
+    ];
+    let gradient = moved.map(|m| (m.at_offset(offset) - value) / step);
+    let variance: f64 = (0..3)
+        .flat_map(|i| (0..3).map(move |j| (i, j)))
+        .map(|(i, j)| gradient[i] * covariance[i][j] * gradient[j])
+        .sum();
+    let half = HALF_WIDTH_90 * variance.max(0.0).sqrt();
+    Interval { value, lower: (value - half).max(0.0), upper: value + half }
 }

@@ -54,6 +54,21 @@ pub fn rfft_frequencies_hz(n: usize, rate_hz: f64) -> Vec<f64> {
     (0..=n / 2).map(|k| k as f64 * rate_hz / n as f64).collect()
 }
 
+/// Band-limited resampling to `len` samples over the same duration; the signal must be about equal at both ends.
+pub fn resample(signal: &[f64], len: usize) -> Vec<f64> {
+    if signal.is_empty() || len == 0 {
+        return vec![0.0; len];
+    }
+    let spectrum = rfft(signal);
+    let shared = spectrum.len().min(len / 2 + 1);
+    let mut out = irfft(&spectrum[..shared], len);
+    let scale = len as f64 / signal.len() as f64;
+    for value in &mut out {
+        *value *= scale;
+    }
+    out
+}
+
 /// Root mean square; 0 for an empty slice.
 pub fn rms(values: &[f64]) -> f64 {
     if values.is_empty() {

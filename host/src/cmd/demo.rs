@@ -12,12 +12,15 @@ use super::analyse::summary;
 use super::output::{print, print_json, warn_skipped};
 use super::progress::Bar;
 use crate::analysis::Analysis;
-use crate::pipeline::{self, AnalyseOptions};
+use crate::identify::identify;
+use crate::pipeline;
 use crate::recording::files::{create_dir, write_atomic};
 use crate::recording::read_site;
-use crate::recording::truth::{Side, Truth, read_truth};
+use crate::recording::truth::{Side, Truth, WheelTruth, read_truth};
 use crate::report::text::{PeakComparison, peak_summary, peak_table};
 use crate::results::write_results;
+use crate::scoring::true_force_n;
+use crate::vehicle::static_wheel_force_n;
 
 /// Show the whole chain on a recorded crossing: calibrate, make a kernel, run the node, report
 ///
@@ -49,12 +52,13 @@ impl DemoArgs {
         unpack(&site_dir)?;
         let site = read_site(&site_dir).context("cannot read the recordings of the demo")?;
         warn_skipped(&site.skipped);
-        let (options, bar) = (AnalyseOptions::default(), Bar::new());
-        let analysis = pipeline::analyse(&site, &options, &bar).context("cannot analyse the demo site")?;
-        let package = pipeline::kernel(&site, &options, &bar).context("cannot make the kernel package")?;
+        let bar = Bar::new();
+        let identified = identify(&site, &bar).context("cannot calibrate the demo site")?;
+        let analysis = pipeline::evaluate(&identified, &bar).context("cannot analyse the demo site")?;
+        let package = pipeline::package(&identified, &bar).context("cannot make the kernel package")?;
         write_atomic(&self.out.join("kernel.bin"), &package)?;
         let records =
-            pipeline::simulate_node(&site, &package, &bar).context("cannot run the simulated node")?;
+            crate::node_sim::records(&site, &package, &bar).context("cannot run the simulated node")?;
         write_results(&self.out, &analysis)?;
         drop(bar);
         let truth = read_truth(&site_dir).context("cannot read the true forces of the demo")?;
@@ -93,7 +97,7 @@ fn compare(analysis: &Analysis, records: &[Record], truth: &Truth) -> Vec<PeakCo
         .wheels
         .iter()
         .filter(|w| w.side == Side::Crossing)
-        .map(|w| ((w.passage_id, w.wheelset), pipeline::true_peak_n(w, &analysis.crossing)))
+        .map(|w| ((w.passage_id, w.wheelset), true_peak_n(w, analysis)))
         .collect();
     let mut rows = Vec::new();
     for (i, p) in analysis.passages.iter().enumerate() {
@@ -109,6 +113,16 @@ fn compare(analysis: &Analysis, records: &[Record], truth: &Truth) -> Vec<PeakCo
         }
     }
     rows
+}
+
+/// Largest true force on the result grid, newtons.
+fn true_peak_n(wheel: &WheelTruth, analysis: &Analysis) -> f64 {
+    let vehicle = &analysis.crossing.vehicle;
+    let static_force_n = static_wheel_force_n(vehicle.axle_load_kg, vehicle.gravity_m_s2);
+    let grid = &analysis.indicators.position_m;
+    true_force_n(wheel, &analysis.crossing, static_force_n, grid)
+        .into_iter()
+        .fold(f64::NEG_INFINITY, f64::max)
 }
 
 fn row_json(row: &PeakComparison) -> serde_json::Value {

@@ -86,6 +86,19 @@ pub struct AxleGain {
     pub sd_n: Vec<f64>,
 }
 
+impl AxleGain {
+    /// Force on the grid for a residual window (measured − expected), newtons.
+    pub fn apply(&self, residual_m_s2: &[f64]) -> Vec<f64> {
+        let mut force = self.base_n.clone();
+        for (k, r) in residual_m_s2.iter().enumerate().take(self.gain.ncols()) {
+            for (f, g) in force.iter_mut().zip(self.gain.col(k).iter()) {
+                *f += g * r;
+            }
+        }
+        force
+    }
+}
+
 impl Estimator {
     /// Window extent for a group: the unknown part of all wheels, one metre before, and the decay after.
     fn extent(geometry: &GroupGeometry, prior: &Prior, rate_hz: f64) -> (usize, usize) {
@@ -170,6 +183,11 @@ impl Estimator {
     /// Response of the window to the common profile: window length × profile points, m/s² per newton.
     pub fn profile_response(&self) -> MatRef<'_, f64> {
         self.profile_response.as_ref()
+    }
+
+    /// Lower Cholesky factor of the window's covariance.
+    pub fn covariance_root(&self) -> MatRef<'_, f64> {
+        self.factor.L()
     }
 
     /// Covariance⁻¹ · `columns`.

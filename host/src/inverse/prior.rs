@@ -21,7 +21,7 @@ pub struct Prior {
     pub correlation_s: f64,
     /// Correlation length of the common profile (Matérn 5/2), metres.
     pub correlation_m: f64,
-    /// Standard deviation of the deviation's amplitude at wavelengths longer than [`SLOW_WAVELENGTH_M`], newtons: the
+    /// Standard deviation of the deviation's amplitude at wavelengths longer than 2.3 m, newtons: the
     /// unsprung mass cannot produce more, because it follows the slow variation of the deflection.
     pub slow_n: f64,
     /// Standard deviation of a wheel's static load relative to the nominal one.
@@ -52,27 +52,39 @@ impl Prior {
         Self {
             region_m: [-1.2 + 0.3 * direction, 1.2 + 0.3 * direction],
             common: Spread { region_n: 25e3, outside_n: 6e3, stock_n: 6e3 },
-            own: Spread { region_n: 6e3, outside_n: 1.5e3, stock_n: 1e3 },
+            own: Spread { region_n: 5e3, outside_n: 1e3, stock_n: 0.6e3 },
             edge_m: 0.25,
             correlation_s: 2e-3,
             correlation_m: 0.09,
             slow_n: 1.5e3,
             load_sd: 0.02,
-            noise_m_s2: 0.08,
+            noise_m_s2: 0.1,
             offset_sd_m_s2: 0.02,
             half_m: 4.0,
         }
     }
 
-    /// The same knowledge, but with no profile shared between wheels: each wheel stands for itself.
-    pub fn independent(&self) -> Self {
-        let join = |a: f64, b: f64| a.hypot(b);
+    /// The same, but hardly anything assumed of the shape of the deviations: every wheel stands for itself and slow
+    /// deviations are as free as fast ones. Used while the track model is still being calibrated, so that the prior
+    /// cannot take the place of the ballast.
+    pub fn loose(&self) -> Self {
+        Self {
+            common: Spread { region_n: 1e3, outside_n: 1e3, stock_n: 1e3 },
+            own: Spread { region_n: 32e3, outside_n: 6.7e3, stock_n: 6.7e3 },
+            slow_n: 20e3,
+            noise_m_s2: 0.06,
+            ..self.clone()
+        }
+    }
+
+    /// The same with the wheels' own part scaled.
+    pub fn with_own_scaled(&self, scale: f64) -> Self {
         let own = Spread {
-            region_n: join(self.common.region_n, self.own.region_n),
-            outside_n: join(self.common.outside_n, self.own.outside_n),
-            stock_n: join(self.common.stock_n, self.own.stock_n),
+            region_n: scale * self.own.region_n,
+            outside_n: scale * self.own.outside_n,
+            stock_n: scale * self.own.stock_n,
         };
-        Self { common: Spread { region_n: 0.0, outside_n: 0.0, stock_n: 0.0 }, own, ..self.clone() }
+        Self { own, ..self.clone() }
     }
 
     /// Standard deviation of a crossing-side deviation at `x_m`, newtons.

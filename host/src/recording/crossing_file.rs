@@ -294,3 +294,49 @@ pub(super) fn write_crossing(file: &Path, crossing: &Crossing) -> Result<(), Rec
         .map_err(|e| RecordingError::Toml { file: file.into(), reason: e.to_string() })?;
     write_atomic(file, text.as_bytes())
 }
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    const SOUND: &str = include_str!("../../../tests/data/field/reference-1/crossing.toml");
+
+    fn read(text: &str) -> Result<Crossing, RecordingError> {
+        let file = Path::new("crossing.toml");
+        let crossing = parse_crossing(file, text)?;
+        check_crossing(file, &crossing)?;
+        Ok(crossing)
+    }
+
+    proptest! {
+        #[test]
+        fn property_arbitrary_text_never_panics(text in "\\PC{0,300}") {
+            let _ = read(&text);
+        }
+
+        #[test]
+        fn property_spoilt_file_never_panics(at in 0..SOUND.len(), with in "[-\\[\\]=0-9a-z\"#.\n]{0,4}") {
+            let mut text = SOUND.to_string();
+            text.replace_range(at..at + 1, &with);
+            let _ = read(&text);
+        }
+    }
+
+    #[test]
+    fn property_every_key_is_needed() {
+        for (k, line) in SOUND.lines().enumerate().filter(|(_, l)| l.contains(" = ")) {
+            let rest: Vec<&str> =
+                SOUND.lines().enumerate().filter(|(i, _)| *i != k).map(|(_, l)| l).collect();
+            let name = line.split(' ').next().unwrap();
+            // These describe the file or repeat the documentation.
+            let optional = ["format_version", "sign_convention", "quantity", "antialias"];
+            let optional = optional.contains(&name) || ["x_origin", "x_positive", "y_origin"].contains(&name);
+            match read(&rest.join("\n")) {
+                Ok(_) => assert!(optional, "{name} can be left out"),
+                Err(error) => assert!(error.to_string().contains(name), "{error} does not name {name}"),
+            }
+        }
+    }
+}

@@ -19,7 +19,7 @@ pub(super) fn guarded<T>(decode: impl FnOnce() -> T) -> Result<T, String> {
     result.map_err(|_| "its contents contradict each other".to_string())
 }
 
-/// Keeps the panics that [`guarded`] turns into errors off standard error. For programs, once, at the start.
+/// Keeps the panics that are turned into errors here off standard error. For programs, once, at the start.
 pub fn silence_guarded_panics() {
     let report = take_hook();
     set_hook(Box::new(move |info| {

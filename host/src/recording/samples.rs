@@ -95,7 +95,41 @@ mod tests {
 
     use super::*;
 
+    /// MAT v5 by its published layout: 128-byte header, then one matrix element of four sub-elements.
+    fn mat_v5(name: &str, values: &[f64]) -> Vec<u8> {
+        let element = |kind: u32, data: &[u8]| {
+            let mut bytes = [kind.to_le_bytes(), (data.len() as u32).to_le_bytes()].concat();
+            bytes.extend(data);
+            bytes.resize(bytes.len().next_multiple_of(8), 0);
+            bytes
+        };
+        let (double, uint32, int32, int8) = (9, 6, 5, 1);
+        let flags = element(uint32, &[6, 0, 0, 0, 0, 0, 0, 0]);
+        let size = element(int32, &[1_i32.to_le_bytes(), (values.len() as i32).to_le_bytes()].concat());
+        let data: Vec<u8> = values.iter().flat_map(|v| v.to_le_bytes()).collect();
+        let matrix = [flags, size, element(int8, name.as_bytes()), element(double, &data)].concat();
+        let mut bytes = format!("{:<124}", "MATLAB 5.0 MAT-file").into_bytes();
+        bytes.extend([0x00, 0x01, b'I', b'M']);
+        bytes.extend(element(14, &matrix));
+        bytes
+    }
+
+    #[test]
+    fn reference_mat_v5_layout() {
+        let values = [0.5, -1.25, 100.0];
+        assert_eq!(from_mat(mat_v5(COLUMN, &values)).unwrap(), [0.5, -1.25, 100.0]);
+        assert!(from_mat(mat_v5("other", &values)).unwrap_err().contains(COLUMN));
+    }
+
     proptest! {
+        #[test]
+        fn property_spoilt_mat_never_panics(at in 0_usize..300, with in any::<u8>()) {
+            let mut bytes = mat_v5(COLUMN, &[1.0; 12]);
+            let at = at % bytes.len();
+            bytes[at] = with;
+            let _ = from_mat(bytes);
+        }
+
         #[test]
         fn property_arbitrary_bytes_never_panic(bytes in proptest::collection::vec(any::<u8>(), 0..600)) {
             let _ = from_csv(&bytes);

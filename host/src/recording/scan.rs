@@ -88,3 +88,29 @@ pub(super) fn write_scan(file: &Path, scan: &Scan) -> Result<(), RecordingError>
     }
     write_atomic(file, text.as_bytes())
 }
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    proptest! {
+        #[test]
+        fn property_arbitrary_bytes_never_panic(bytes in proptest::collection::vec(any::<u8>(), 0..600)) {
+            let _ = parse_scan(Path::new("irregularity.csv"), &bytes);
+        }
+
+        #[test]
+        fn property_arbitrary_rows_never_panic(rows in "([-0-9.eN,]{0,12}\n){0,20}") {
+            let text = format!("position_m,irregularity_m\n{rows}");
+            let _ = parse_scan(Path::new("irregularity.csv"), text.as_bytes());
+        }
+    }
+
+    #[test]
+    fn regress_columns_in_any_order() {
+        let scan = parse_scan(Path::new("x"), b"irregularity_m,position_m\n0.001,-0.01\n0.002,0\n").unwrap();
+        assert_eq!(scan, Scan { position_m: vec![-0.01, 0.0], irregularity_m: vec![0.001, 0.002] });
+    }
+}

@@ -61,14 +61,12 @@ fn plot(
     let within = |s: &&Spread| s.x >= range.0 && s.x <= range.1;
     let values = measured.iter().chain(model).filter(within).flat_map(|s| [s.p10, s.p90, s.mean]);
     let (low, high) = range_of(values, 0.08);
-    let mean = |s: &[Spread]| s.iter().map(|s| (s.x, s.mean)).collect();
-    let band = measured.iter().map(|s| (s.x, s.p10, s.p90)).collect();
     let axles = traces::axle_distances_m(passages).into_iter();
     let tick = 0.03 * (high - low);
     let layers = vec![
-        Layer::Band { points: band, color: BLUE, opacity: 0.22 },
-        Layer::Line { points: mean(measured), color: BLUE, opacity: 1.0, width: 4 },
-        Layer::Line { points: mean(model), color: ORANGE, opacity: 1.0, width: 4 },
+        Layer::Band { points: traces::band(measured), color: BLUE, opacity: 0.22 },
+        Layer::Line { points: traces::means(measured), color: BLUE, opacity: 1.0, width: 4 },
+        Layer::Line { points: traces::means(model), color: ORANGE, opacity: 1.0, width: 4 },
         Layer::Whiskers {
             points: axles.map(|x| (x, low, low + tick)).collect(),
             color: GREY,

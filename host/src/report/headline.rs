@@ -1,6 +1,6 @@
 //! The box on top: condition, urgency, action, and what they rest on.
 
-use crate::analysis::{Analysis, Condition, Interval};
+use crate::analysis::{Analysis, BallastEstimate, Condition, Interval, Spread};
 use crate::recording::{Design, TrafficDirection};
 
 use super::page::escape;
@@ -61,49 +61,33 @@ fn speeds_km_h(analysis: &Analysis) -> (f64, f64) {
 
 fn facts(analysis: &Analysis) -> Vec<(&'static str, String, String)> {
     let i = &analysis.indicators;
-    let b = &analysis.ballast;
-    let (f, r) = (i.peak_force_n, i.irregularity_rms_m);
     let wheelsets: usize = analysis.passages.iter().map(|p| p.wheelsets.len()).sum();
+    let passages = format!("{} used, {} left out", analysis.passages.len(), analysis.skipped.len());
+    let (force, rms) = (i.peak_force_n, i.irregularity_rms_m);
     vec![
-        (
-            "Force peak",
-            format!("{:.0} kN", 1e-3 * f.mean),
-            format!(
-                "middle 80 %: {:.0}\u{2013}{:.0} kN; threshold {:.0} kN",
-                1e-3 * f.p10,
-                1e-3 * f.p90,
-                1e-3 * f.threshold
-            ),
-        ),
-        (
-            "Irregularity RMS",
-            format!("{:.0} µm", 1e6 * r.mean),
-            format!(
-                "middle 80 %: {:.0}\u{2013}{:.0} µm; threshold {:.0} µm",
-                1e6 * r.p10,
-                1e6 * r.p90,
-                1e6 * r.threshold
-            ),
-        ),
-        (
-            "Crossing ballast",
-            format!("{:.1} MN/m²", 1e-6 * b.p2_n_m2.value),
-            format!(
-                "90 %: {}; elsewhere {:.1} ({}); shape p3 {:.2} ({:.2}\u{2013}{:.2})",
-                interval(b.p2_n_m2, 1e-6),
-                1e-6 * b.p1_n_m2.value,
-                interval(b.p1_n_m2, 1e-6),
-                b.p3.value,
-                b.p3.lower,
-                b.p3.upper
-            ),
-        ),
-        (
-            "Passages",
-            format!("{} used, {} left out", analysis.passages.len(), analysis.skipped.len()),
-            format!("{wheelsets} wheelsets"),
-        ),
+        ("Force peak", format!("{:.0} kN", 1e-3 * force.mean), spread(force, 1e-3, "kN")),
+        ("Irregularity RMS", format!("{:.0} µm", 1e6 * rms.mean), spread(rms, 1e6, "µm")),
+        ballast(&analysis.ballast),
+        ("Passages", passages, format!("{wheelsets} wheelsets")),
     ]
+}
+
+fn spread(s: Spread, factor: f64, unit: &str) -> String {
+    let (p10, p90, threshold) = (factor * s.p10, factor * s.p90, factor * s.threshold);
+    format!("middle 80 %: {p10:.0}\u{2013}{p90:.0} {unit}; threshold {threshold:.0} {unit}")
+}
+
+fn ballast(b: &BallastEstimate) -> (&'static str, String, String) {
+    let detail = format!(
+        "90 %: {}; elsewhere {:.1} ({}); shape p3 {:.2} ({:.2}\u{2013}{:.2})",
+        interval(b.p2_n_m2, 1e-6),
+        1e-6 * b.p1_n_m2.value,
+        interval(b.p1_n_m2, 1e-6),
+        b.p3.value,
+        b.p3.lower,
+        b.p3.upper
+    );
+    ("Crossing ballast", format!("{:.1} MN/m²", 1e-6 * b.p2_n_m2.value), detail)
 }
 
 /// The ends of a 90 % interval.

@@ -1,6 +1,6 @@
 //! Identified crossing irregularity, against the scan where there is one.
 
-use crate::analysis::Analysis;
+use crate::analysis::{Analysis, WheelsetResult};
 
 use super::page::{Figure, Key};
 use super::plot::{Axis, BLUE, GREY, Layer, ORANGE, Plot, Point, RED, range_of};
@@ -8,32 +8,11 @@ use super::{ReportError, traces};
 
 pub(super) fn figure(analysis: &Analysis) -> Result<Figure, ReportError> {
     let passages = &analysis.passages;
-    let all: Vec<Vec<Point>> =
-        traces::wheelsets(passages).map(|w| traces::on_grid(w, &w.irregularity_m, 1e3)).collect();
-    let grid = traces::grid_m(passages);
-    let spread = traces::spread(&all, grid.iter().copied());
-    let i = &analysis.indicators;
-    let in_mm = |x: &[f64], z: &[f64]| x.iter().zip(z).map(|(&x, &z)| (x, 1e3 * z)).collect::<Vec<Point>>();
-    let mode = in_mm(&i.position_m, &i.irregularity_mode_m);
+    let on_grid = |w: &WheelsetResult| traces::on_grid(w, &w.irregularity_m, 1e3);
+    let all: Vec<Vec<Point>> = traces::wheelsets(passages).map(on_grid).collect();
     let scan = analysis.scan.as_ref().map(|s| in_mm(&s.position_m, &s.irregularity_m));
-    let ends = (grid.first().copied().unwrap_or(-1.0), grid.last().copied().unwrap_or(1.0));
     let range = range_of(all.iter().chain(&scan).flatten().map(|p| p.1), 0.06);
-    let mut layers: Vec<Layer> =
-        all.into_iter().map(|points| Layer::Line { points, color: GREY, opacity: 0.12, width: 2 }).collect();
-    layers.extend([
-        Layer::Band {
-            points: spread.iter().map(|s| (s.x, s.p10, s.p90)).collect(),
-            color: BLUE,
-            opacity: 0.22,
-        },
-        Layer::Line {
-            points: spread.iter().map(|s| (s.x, s.mean)).collect(),
-            color: BLUE,
-            opacity: 1.0,
-            width: 5,
-        },
-        Layer::Dashed { points: mode, color: RED, width: 4 },
-    ]);
+    let mut layers = layers(analysis, all);
     let mut keys = vec![
         Key::line("one wheelset", GREY),
         Key::line("mean", BLUE),
@@ -45,7 +24,7 @@ pub(super) fn figure(analysis: &Analysis) -> Result<Figure, ReportError> {
         keys.push(Key::line("laser scan, same band (for comparison only)", ORANGE));
     }
     let plot = Plot {
-        x: Axis { caption: "position x, m (0 is the nose tip)", range: ends },
+        x: Axis { caption: "position x, m (0 is the nose tip)", range: traces::grid_ends_m(passages) },
         y: Axis { caption: "irregularity, mm (down)", range },
         down: true,
         height: 760,
@@ -59,4 +38,22 @@ pub(super) fn figure(analysis: &Analysis) -> Result<Figure, ReportError> {
         keys,
         svg: plot.svg("crossing irregularity over position for all wheelsets")?,
     })
+}
+
+fn in_mm(x: &[f64], z: &[f64]) -> Vec<Point> {
+    x.iter().zip(z).map(|(&x, &z)| (x, 1e3 * z)).collect()
+}
+
+/// Every wheelset, their spread, mean and first mode.
+fn layers(analysis: &Analysis, all: Vec<Vec<Point>>) -> Vec<Layer> {
+    let spread = traces::spread(&all, traces::grid_m(&analysis.passages).iter().copied());
+    let i = &analysis.indicators;
+    let line = |points| Layer::Line { points, color: GREY, opacity: 0.12, width: 2 };
+    let mut layers: Vec<Layer> = all.into_iter().map(line).collect();
+    layers.extend([
+        Layer::Band { points: traces::band(&spread), color: BLUE, opacity: 0.22 },
+        Layer::Line { points: traces::means(&spread), color: BLUE, opacity: 1.0, width: 5 },
+        Layer::Dashed { points: in_mm(&i.position_m, &i.irregularity_mode_m), color: RED, width: 4 },
+    ]);
+    layers
 }

@@ -117,8 +117,8 @@ impl Plot<'_> {
             .axis_style(INK.stroke_width(2))
             .x_labels(9)
             .y_labels(7)
-            .x_label_formatter(&|v| tick(*v))
-            .y_label_formatter(&|v| tick(sign * v))
+            .x_label_formatter(&|v| tick(*v, x.1 - x.0))
+            .y_label_formatter(&|v| tick(sign * v, y.1 - y.0))
             .draw()
             .map_err(ReportError::draw)?;
         Ok(chart)
@@ -185,11 +185,28 @@ impl Plot<'_> {
     }
 }
 
-/// A tick label without trailing zeros and without a negative zero; a true minus sign.
-fn tick(value: f64) -> String {
-    let text = format!("{value:.4}");
-    let text = text.trim_end_matches('0').trim_end_matches('.');
-    if text == "-0" { "0".into() } else { text.replace('-', "\u{2212}") }
+/// A tick label on an axis of length `span`: no trailing zeros, no negative zero, a true minus sign, powers of ten
+/// where decimals would not fit.
+fn tick(value: f64, span: f64) -> String {
+    if value.abs() < 1e-6 * span {
+        return "0".into();
+    }
+    if (0.01..1e6).contains(&span) {
+        return trimmed(&format!("{value:.4}"));
+    }
+    let text = format!("{value:.3e}");
+    let (digits, power) = text.split_once('e').unwrap_or((&text, "0"));
+    let power: String = power.chars().map(superscript).collect();
+    format!("{}·10{power}", trimmed(digits))
+}
+
+fn trimmed(decimal: &str) -> String {
+    decimal.trim_end_matches('0').trim_end_matches('.').replace('-', "\u{2212}")
+}
+
+fn superscript(c: char) -> char {
+    const DIGITS: [char; 10] = ['⁰', '¹', '²', '³', '⁴', '⁵', '⁶', '⁷', '⁸', '⁹'];
+    c.to_digit(10).map_or('⁻', |d| DIGITS[d as usize])
 }
 
 #[cfg(test)]
@@ -200,7 +217,10 @@ mod tests {
 
     #[test]
     fn analytic_tick_labels() {
-        assert_eq!([-0.00001, 0.5, -20.0, 100.0].map(tick), ["0", "0.5", "\u{2212}20", "100"]);
+        let labels = [-0.00001, 0.5, -20.0, 100.0].map(|v| tick(v, 120.0));
+        assert_eq!(labels, ["0", "0.5", "\u{2212}20", "100"]);
+        assert_eq!([0.0, -2.5e-9].map(|v| tick(v, 1e-8)), ["0", "\u{2212}2.5·10⁻⁹"]);
+        assert_eq!(tick(2e12, 3e12), "2·10¹²");
     }
 
     proptest! {

@@ -88,6 +88,22 @@ pub(super) fn on_grid(wheelset: &WheelsetResult, values: &[f64], factor: f64) ->
     wheelset.position_m.iter().zip(values).map(|(&x, &v)| (x, factor * v)).collect()
 }
 
+/// Ends of that grid, metres.
+pub(super) fn grid_ends_m(passages: &[PassageResult]) -> (f64, f64) {
+    let grid = grid_m(passages);
+    (grid.first().copied().unwrap_or(-1.0), grid.last().copied().unwrap_or(1.0))
+}
+
+/// Middle 80 % as a band.
+pub(super) fn band(spread: &[Spread]) -> Vec<(f64, f64, f64)> {
+    spread.iter().map(|s| (s.x, s.p10, s.p90)).collect()
+}
+
+/// Mean as a line.
+pub(super) fn means(spread: &[Spread]) -> Vec<Point> {
+    spread.iter().map(|s| (s.x, s.mean)).collect()
+}
+
 /// The grid that the first wheelset uses, metres.
 pub(super) fn grid_m(passages: &[PassageResult]) -> &[f64] {
     wheelsets(passages).next().map_or(&[], |w| &w.position_m)

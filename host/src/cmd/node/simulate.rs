@@ -2,7 +2,7 @@
 
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, PoisonError};
 use std::time::Duration;
 
 use anyhow::{Context, bail};
@@ -15,7 +15,7 @@ use crate::cmd::output::{print, print_json, warn, warn_skipped};
 use crate::cmd::progress::Bar;
 use crate::node_client::{Downloaded, NodeClient};
 use crate::node_sim::{
-    Listener, MemoryNor, Qemu, SharedNode, SimulatedNode, codes_of_site, find_elf, in_process,
+    Listener, MemoryNor, Qemu, SharedNode, codes_of_site, find_elf, in_process, with_kernel,
 };
 use crate::progress::Progress;
 use crate::recording::{Site, read_site};
@@ -62,7 +62,7 @@ impl SimulateArgs {
         let codes = codes_of_site(&site).with_context(|| format!("site {}", self.site.display()))?;
         std::fs::create_dir_all(&self.out)
             .with_context(|| format!("cannot create {}", self.out.display()))?;
-        let node = node_with(&package)?;
+        let node = with_kernel(&package).context("the node does not take the kernel package")?;
         if self.qemu {
             let node = Arc::into_inner(node).and_then(|node| node.into_inner().ok());
             let flash = node.context("the simulated node is still in use")?.into_flash();
@@ -86,14 +86,6 @@ impl SimulateArgs {
             print(&text(&self.out, downloaded))
         }
     }
-}
-
-/// A node with the package in force.
-fn node_with(package: &[u8]) -> anyhow::Result<SharedNode> {
-    let node = Arc::new(Mutex::new(SimulatedNode::start(MemoryNor::blank())));
-    let mut client = NodeClient::over(in_process(node.clone()));
-    client.upload_kernel(package, &mut |_| {}).context("the node does not take the kernel package")?;
-    Ok(node)
 }
 
 fn sense(site: &Site, codes: Vec<SensorCode>, node: &SharedNode) {

@@ -1,0 +1,249 @@
+//! A site from recordings to calibrated model: speeds, ballast, axle times, common force profile.
+
+use crate::ballast::BallastParameters;
+use crate::ballast::evidence::{EvidenceFit, EvidenceProblem};
+use crate::ballast::quasi_static::{QuasiStatic, QuasiStaticFit};
+use crate::greens::{Chain, GreensFunctions, GreensSampling, Quantity};
+use crate::inverse::hierarchy::{SiteModel, SitePassage, SitePosterior};
+use crate::inverse::{CommonProfile, InverseError, Prior, ProfileGrids};
+use crate::progress::Progress;
+use crate::reconstruct::{Recording, SpeedSearch, Timing, estimate_speed};
+use crate::recording::Site;
+use crate::signal::mean;
+use crate::track::{Mesh, Track};
+use crate::vehicle::{AxlePattern, static_wheel_force_n};
+
+/// Why a site cannot be identified.
+#[derive(Debug, thiserror::Error)]
+pub enum IdentifyError {
+    /// Nothing to work on.
+    #[error("the site has no usable passage; see the list of skipped ones")]
+    NoPassage,
+    /// No train in a recording.
+    #[error("passage {passage_id}: no train found, the recording is silent; leave the passage out")]
+    Silent {
+        /// Which recording.
+        passage_id: i32,
+    },
+    /// The estimate broke down.
+    #[error(transparent)]
+    Inverse(#[from] InverseError),
+}
+
+/// A site with everything estimated that its passages share.
+pub struct IdentifiedSite<'s> {
+    /// Input.
+    pub site: &'s Site,
+    /// Track with nominal design values.
+    pub track: Track,
+    /// Axle pattern of the trains.
+    pub pattern: AxlePattern,
+    /// +1 facing, -1 trailing.
+    pub direction: f64,
+    /// Corrected recordings, in the order of the site's passages.
+    pub recordings: Vec<Recording>,
+    /// Speeds and axle times.
+    pub timings: Vec<Timing>,
+    /// Static wheel force per passage, newtons.
+    pub static_force_n: Vec<f64>,
+    /// Quasi-static calibration (paper, eq. 2), the start of the calibration by evidence.
+    pub quasi_static: QuasiStaticFit,
+    /// Calibration by evidence.
+    pub ballast: EvidenceFit,
+    /// Prior with the hyper-parameters that the evidence prefers.
+    pub prior: Prior,
+    /// Green's functions of the calibrated track.
+    pub greens: GreensFunctions,
+    /// Force profile that all wheels share.
+    pub profile: CommonProfile,
+    /// Ratio of the residuals to what the model allows, 1 for a perfect model: intervals are widened by it.
+    pub misfit_ratio: f64,
+}
+
+/// Passages used for the search over ballast; all are used for everything else.
+const CALIBRATION_PASSAGES: usize = 8;
+/// Start of the quasi-static fit: nominal outer stiffness, somewhat less under the crossing.
+const NOMINAL: BallastParameters = BallastParameters { p1_n_m2: 30e6, p2_n_m2: 25e6, p3: 0.4 };
+/// Spacing of the common profile on the two rails, metres; half the shortest wavelength in the band at 45 m/s.
+const PROFILE_STEP_M: (f64, f64) = (0.05, 0.08);
+/// Position uncertainty left after the calibration, metres: common and per passage.
+const SHIFT_SD_M: (f64, f64) = (0.001, 0.01);
+/// Rounds of re-linearising the axle positions.
+const ALIGN_ROUNDS: usize = 2;
+
+/// Runs the identification.
+pub fn identify<'s>(site: &'s Site, progress: &dyn Progress) -> Result<IdentifiedSite<'s>, IdentifyError> {
+    let crossing = &site.crossing;
+    if site.passages.is_empty() {
+        return Err(IdentifyError::NoPassage);
+    }
+    let direction = crossing.traffic_direction.sign();
+    let track = Track::of_crossing(crossing, Mesh::default());
+    let pattern = AxlePattern::of_vehicle(&crossing.vehicle);
+    progress.begin("speed of the trains", site.passages.len() as u64);
+    let recordings: Vec<Recording> =
+        site.passages.iter().map(|p| Recording::new(p, &crossing.sensor)).collect();
+    let speeds = speeds(site, &recordings, &pattern, progress)?;
+    let static_force_n: Vec<f64> = site
+        .passages
+        .iter()
+        .map(|p| static_wheel_force_n(p.axle_load_kg, crossing.vehicle.gravity_m_s2))
+        .collect();
+    progress.begin("ballast, quasi-static", 1);
+    let inputs: Vec<(&Recording, f64, f64)> =
+        (0..recordings.len()).map(|i| (&recordings[i], speeds[i], static_force_n[i])).collect();
+    let quasi_static = QuasiStatic::new(&track, direction, &pattern, &inputs).fit(NOMINAL);
+    progress.step();
+    let mut passages: Vec<SitePassage> = (0..recordings.len())
+        .map(|i| SitePassage {
+            recording: &recordings[i],
+            timing: Timing { speed_m_s: speeds[i], first_axle_s: quasi_static.first_axle_s[i] },
+            static_force_n: static_force_n[i],
+        })
+        .collect();
+    let prior = Prior::starting(direction);
+    let problem = EvidenceProblem {
+        track: &track,
+        direction,
+        pattern: &pattern,
+        prior: prior.loose(),
+        mean_speed_m_s: mean(&speeds),
+    };
+    let ballast = calibrate(&problem, &quasi_static.parameters, &mut passages, progress)?;
+    let distribution = ballast.parameters.distribution(track.sleeper_x_m.len(), track.sensor_sleeper);
+    let greens = GreensFunctions::new(
+        &track,
+        &distribution,
+        GreensSampling::wide(),
+        Quantity::Acceleration,
+        &Chain::Corrected,
+    );
+    let (prior, posterior) = common_profile(&greens, direction, &pattern, prior, &mut passages, progress)?;
+    let timings = passages.iter().map(|p| p.timing).collect();
+    Ok(IdentifiedSite {
+        site,
+        timings,
+        static_force_n,
+        quasi_static,
+        ballast,
+        prior,
+        profile: posterior.profile,
+        misfit_ratio: 1.0,
+        track,
+        pattern,
+        direction,
+        recordings,
+        greens,
+    })
+}
+
+fn speeds(
+    site: &Site,
+    recordings: &[Recording],
+    pattern: &AxlePattern,
+    progress: &dyn Progress,
+) -> Result<Vec<f64>, IdentifyError> {
+    recordings
+        .iter()
+        .zip(&site.passages)
+        .map(|(recording, passage)| {
+            progress.step();
+            estimate_speed(recording, pattern, SpeedSearch::default())
+                .ok_or(IdentifyError::Silent { passage_id: passage.passage_id })
+        })
+        .collect()
+}
+
+/// Moves the axle times of all passages to their posterior mean.
+fn realign(passages: &mut [SitePassage], posterior: &SitePosterior) {
+    for (passage, shift) in passages.iter_mut().zip(&posterior.shift_m) {
+        passage.timing.first_axle_s += shift / passage.timing.speed_m_s;
+    }
+}
+
+fn calibrate(
+    problem: &EvidenceProblem,
+    quasi_static: &BallastParameters,
+    passages: &mut [SitePassage],
+    progress: &dyn Progress,
+) -> Result<EvidenceFit, IdentifyError> {
+    progress.begin("ballast by evidence", 3);
+    // The quasi-static fit errs towards a soft centre (the dynamic force leaks into its band).
+    let start = BallastParameters {
+        p2_n_m2: (1.5 * quasi_static.p2_n_m2).max(0.3 * quasi_static.p1_n_m2),
+        p3: 0.5,
+        ..*quasi_static
+    };
+    for _ in 0..ALIGN_ROUNDS {
+        let posterior = problem.posterior(&start, passages)?;
+        realign(passages, &posterior);
+    }
+    progress.step();
+    let every = passages.len().div_ceil(CALIBRATION_PASSAGES).max(1);
+    let some: Vec<SitePassage> = passages.iter().step_by(every).copied().collect();
+    let fit = problem.fit(&[start], &some)?;
+    progress.step();
+    for _ in 0..ALIGN_ROUNDS {
+        let posterior = problem.posterior(&fit.parameters, passages)?;
+        realign(passages, &posterior);
+    }
+    progress.step();
+    Ok(fit)
+}
+
+/// Noise levels tried, m/s², and sizes of the wheels' own part relative to the starting prior.
+const NOISE_M_S2: [f64; 3] = [0.07, 0.1, 0.15];
+const OWN_SCALE: [f64; 3] = [0.7, 1.0, 1.6];
+
+fn common_profile(
+    greens: &GreensFunctions,
+    direction: f64,
+    pattern: &AxlePattern,
+    start: Prior,
+    passages: &mut [SitePassage],
+    progress: &dyn Progress,
+) -> Result<(Prior, SitePosterior), IdentifyError> {
+    let speeds: Vec<f64> = passages.iter().map(|p| p.timing.speed_m_s).collect();
+    let grids = ProfileGrids::new(start.half_m, PROFILE_STEP_M.0, PROFILE_STEP_M.1, mean(&speeds));
+    let posterior = |prior: &Prior, passages: &[SitePassage]| {
+        SiteModel {
+            greens,
+            direction,
+            pattern,
+            prior,
+            grids: grids.clone(),
+            common_shift_sd_m: SHIFT_SD_M.0,
+            passage_shift_sd_m: SHIFT_SD_M.1,
+        }
+        .posterior(passages)
+    };
+    progress.begin("common force profile", (NOISE_M_S2.len() + OWN_SCALE.len() + ALIGN_ROUNDS) as u64);
+    let every = passages.len().div_ceil(4).max(1);
+    let few: Vec<SitePassage> = passages.iter().step_by(every).copied().collect();
+    let mut prior = start.clone();
+    let mut best = f64::NEG_INFINITY;
+    for scale in OWN_SCALE {
+        let candidate = start.with_own_scaled(scale);
+        let evidence = posterior(&candidate, &few)?.log_evidence;
+        if evidence > best {
+            (best, prior) = (evidence, candidate);
+        }
+        progress.step();
+    }
+    for noise_m_s2 in NOISE_M_S2 {
+        let candidate = Prior { noise_m_s2, ..prior.clone() };
+        let evidence = posterior(&candidate, &few)?.log_evidence;
+        if evidence > best {
+            (best, prior) = (evidence, candidate);
+        }
+        progress.step();
+    }
+    let mut found = posterior(&prior, passages)?;
+    for _ in 1..ALIGN_ROUNDS {
+        realign(passages, &found);
+        found = posterior(&prior, passages)?;
+        progress.step();
+    }
+    realign(passages, &found);
+    Ok((prior, found))
+}

@@ -1,0 +1,85 @@
+//! Condition indicators over the passages of a site (paper, section 7).
+
+use faer::Mat;
+
+use crate::analysis::{Condition, Indicators, PassageResult, Spread, WheelsetResult};
+use crate::signal::{mean, quantile};
+
+/// Force peak over static wheel force above which a crossing counts as damaged. The paper's fig. 21 separates healthy
+/// from damaged panels between about 1.9 and 2.3 times the static force; the middle is taken.
+pub const PEAK_RATIO_THRESHOLD: f64 = 2.1;
+/// RMS of the band-passed irregularity above which a crossing counts as damaged, metres.
+pub const IRREGULARITY_RMS_THRESHOLD_M: f64 = 0.20e-3;
+/// Within this share of a threshold a healthy crossing is watched.
+const NEAR: f64 = 0.1;
+
+/// Indicators of the passages; `static_force_n` sets the force threshold.
+pub fn indicators(passages: &[PassageResult], position_m: &[f64], static_force_n: f64) -> Indicators {
+    let wheels: Vec<&WheelsetResult> = passages.iter().flat_map(|p| &p.wheelsets).collect();
+    let peaks: Vec<f64> = wheels.iter().map(|w| w.peak_force_n.value).collect();
+    let rms: Vec<f64> = wheels.iter().map(|w| w.irregularity_rms_m).collect();
+    let peak_force_n = spread(&peaks, PEAK_RATIO_THRESHOLD * static_force_n);
+    let irregularity_rms_m = spread(&rms, IRREGULARITY_RMS_THRESHOLD_M);
+    let condition = condition(&peak_force_n, &irregularity_rms_m);
+    let (urgency, recommended_action) = advice(condition, &peak_force_n, &irregularity_rms_m);
+    Indicators {
+        peak_force_n,
+        irregularity_rms_m,
+        force_mode_n: first_mode(&wheels, position_m.len(), |w| &w.contact_force_n),
+        irregularity_mode_m: first_mode(&wheels, position_m.len(), |w| &w.irregularity_m),
+        position_m: position_m.to_vec(),
+        condition,
+        urgency: urgency.into(),
+        recommended_action: recommended_action.into(),
+    }
+}
+
+fn spread(values: &[f64], threshold: f64) -> Spread {
+    Spread { mean: mean(values), p10: quantile(values, 0.1), p90: quantile(values, 0.9), threshold }
+}
+
+fn condition(force: &Spread, irregularity: &Spread) -> Condition {
+    let above = |s: &Spread| s.mean > s.threshold;
+    let near = |s: &Spread| s.mean > (1.0 - NEAR) * s.threshold;
+    match (above(force), above(irregularity)) {
+        (true, true) => Condition::Damaged,
+        (false, false) if !near(force) && !near(irregularity) => Condition::Healthy,
+        _ => Condition::Watch,
+    }
+}
+
+fn advice(condition: Condition, force: &Spread, irregularity: &Spread) -> (&'static str, &'static str) {
+    match condition {
+        Condition::Healthy => ("none", "No action. Keep monitoring."),
+        Condition::Watch if force.mean / force.threshold >= irregularity.mean / irregularity.threshold => (
+            "schedulable",
+            "Inspect the transition for a short dip or step at the position of the force peak; grind it at the next possession.",
+        ),
+        Condition::Watch => (
+            "schedulable",
+            "Measure the crossing geometry (scan or template); plan grinding or welding if the wear is confirmed.",
+        ),
+        Condition::Damaged => (
+            "urgent: days",
+            "Inspect the crossing now: forces and irregularity are both beyond the threshold. Weld and grind, or replace it.",
+        ),
+    }
+}
+
+/// First left singular vector of the wheels' curves times its singular value, scaled to the size of one wheel, and
+/// with the sign of the mean.
+fn first_mode(
+    wheels: &[&WheelsetResult],
+    len: usize,
+    curve: impl Fn(&WheelsetResult) -> &Vec<f64>,
+) -> Vec<f64> {
+    let usable: Vec<&&WheelsetResult> = wheels.iter().filter(|w| curve(w).len() == len).collect();
+    if usable.is_empty() || len == 0 {
+        return vec![0.0; len];
+    }
+    let matrix = Mat::from_fn(len, usable.len(), |i, j| curve(usable[j])[i]);
+    let Ok(svd) = matrix.thin_svd() else { return vec![0.0; len] };
+    let weight = mean(&(0..usable.len()).map(|j| svd.V()[(j, 0)]).collect::<Vec<_>>());
+    let size = svd.S().column_vector()[0] * weight;
+    (0..len).map(|i| svd.U()[(i, 0)] * size).collect()
+}

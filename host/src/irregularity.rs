@@ -1,0 +1,86 @@
+//! Crossing irregularity from the identified force: wheel path minus rail deflection (paper, section 5, eq. 13-16).
+
+use crate::forces::{LOW_PASS_HZ, WheelForce};
+use crate::greens::moving_response::RailGreens;
+use crate::recording::Vehicle;
+use crate::signal::{CubicSpline, brick_band};
+
+/// Longest wavelength kept, metres (paper, section 5): double integration over a few metres drifts beyond it.
+pub const LONGEST_WAVELENGTH_M: f64 = 1.0;
+
+/// Effective mass of a rigid wheelset (heave and roll) at one contact, kg: 1 / (1/m + b²/I).
+pub fn effective_wheel_mass_kg(vehicle: &Vehicle) -> f64 {
+    1.0 / (1.0 / vehicle.wheelset_mass_kg
+        + vehicle.contact_half_distance_m.powi(2) / vehicle.wheelset_roll_inertia_kg_m2)
+}
+
+/// Band-passed irregularity (1 m … 250 Hz) at `grid_m`, metres, positive down.
+///
+/// `rail` must hold Green's functions at the time step of the force. The wheel load is constant (eq. 15), so the wheel
+/// accelerates by (Q − f)/m; the rail deflects under f − Q; the contact is compressed by Hertz's law.
+pub fn irregularity(
+    force: &WheelForce,
+    speed_m_s: f64,
+    static_force_n: f64,
+    rail: &RailGreens,
+    vehicle: &Vehicle,
+    grid_m: &[f64],
+) -> Vec<f64> {
+    let dt = 1.0 / rail.rate_hz;
+    let mass = effective_wheel_mass_kg(vehicle);
+    let deviation: Vec<f64> = force.force_n.iter().map(|f| f - static_force_n).collect();
+    let deflection = rail.moving_deflection(&force.position_m, &deviation);
+    let (mut velocity, mut path) = (0.0, 0.0);
+    let raw: Vec<f64> = force
+        .force_n
+        .iter()
+        .zip(&deviation)
+        .zip(&deflection)
+        .map(|((f, d), rail)| {
+            velocity -= d / mass * dt;
+            path += velocity * dt;
+            let compression = (f.max(0.0) / vehicle.hertz_constant_n_m15).powf(2.0 / 3.0);
+            path - rail - compression
+        })
+        .collect();
+    let banded =
+        brick_band(&without_cubic(&raw), rail.rate_hz, speed_m_s / LONGEST_WAVELENGTH_M, LOW_PASS_HZ);
+    on_grid(&force.position_m, &banded, grid_m)
+}
+
+/// Residual of the least-squares cubic, which holds what the double integration cannot know; Legendre polynomials keep
+/// the normal equations diagonal on the equidistant grid up to discretisation, which two sweeps remove.
+fn without_cubic(values: &[f64]) -> Vec<f64> {
+    let n = values.len();
+    let mut out = values.to_vec();
+    let u = |i: usize| 2.0 * i as f64 / (n.max(2) - 1) as f64 - 1.0;
+    let legendre = |order: usize, x: f64| match order {
+        0 => 1.0,
+        1 => x,
+        2 => 1.5 * x * x - 0.5,
+        _ => 2.5 * x * x * x - 1.5 * x,
+    };
+    for _ in 0..3 {
+        for order in 0..4 {
+            let norm: f64 = (0..n).map(|i| legendre(order, u(i)).powi(2)).sum();
+            let share: f64 = (0..n).map(|i| legendre(order, u(i)) * out[i]).sum::<f64>() / norm.max(1e-300);
+            for (i, value) in out.iter_mut().enumerate() {
+                *value -= share * legendre(order, u(i));
+            }
+        }
+    }
+    out
+}
+
+/// Interpolates values given in the order of passing onto ascending positions.
+pub fn on_grid(position_m: &[f64], values: &[f64], grid_m: &[f64]) -> Vec<f64> {
+    let (mut x, mut y) = (position_m.to_vec(), values.to_vec());
+    if x.first() > x.last() {
+        x.reverse();
+        y.reverse();
+    }
+    match CubicSpline::new(&x, &y) {
+        Some(spline) => grid_m.iter().map(|p| spline.at(*p)).collect(),
+        None => vec![0.0; grid_m.len()],
+    }
+}

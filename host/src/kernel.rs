@@ -1,0 +1,293 @@
+//! The node's kernel package: the estimator at a set of speeds, reduced to what a node can apply.
+
+use cpcm_shared::decimate;
+use cpcm_shared::operator::block_crc;
+use cpcm_shared::package::{
+    Bin, Block, FORMAT, Group, Header, MAX_HEADER_LEN, Operator, Provenance, Sensor, Train,
+};
+use cpcm_shared::sample::{FULL_SCALE_CODE, M_S2_PER_CODE, RAW_RATE_HZ};
+use faer::Mat;
+use rayon::prelude::*;
+
+use crate::forces::LOW_PASS_HZ;
+use crate::greens::{Chain, GreensFunctions, GreensSampling, Quantity};
+use crate::identify::IdentifiedSite;
+use crate::inverse::hierarchy::{GroupKind, kinds};
+use crate::inverse::{Estimator, GroupGeometry, InverseError, Prior};
+use crate::signal::AntiAlias;
+
+/// Why a package cannot be made.
+#[derive(Debug, thiserror::Error)]
+pub enum KernelError {
+    /// The estimator broke down.
+    #[error(transparent)]
+    Inverse(#[from] InverseError),
+    /// The site does not fit the node's limits.
+    #[error("the site has {found} {what}, the node takes at most {limit}")]
+    TooMany {
+        /// What is too many.
+        what: &'static str,
+        /// How many.
+        found: usize,
+        /// How many fit.
+        limit: usize,
+    },
+    /// The node samples at another rate.
+    #[error("the site was recorded at {found} Hz, the node samples at {expected} Hz")]
+    SampleRate {
+        /// Site's rate, Hz.
+        found: f64,
+        /// Node's rate, Hz.
+        expected: f64,
+    },
+    /// The header is too long or inconsistent.
+    #[error("the package header is refused by the node's own check: {0}")]
+    Header(String),
+}
+
+/// Relative distance of neighbouring speed bins. The node blends two bins; at 2.5 % the blend is accurate to a few
+/// per mille (`docs/method.md`).
+const BIN_STEP: f64 = 0.025;
+/// Bins reach this far beyond the slowest and the fastest recorded train.
+const BIN_MARGIN: f64 = 0.03;
+/// Step of the force grid, metres.
+const GRID_STEP_M: f64 = 0.02;
+/// Singular directions of the operator that change no force by more than this (one standard deviation) are left out,
+/// newtons: a thousandth of a usual peak.
+const TRUNCATION_N: f64 = 100.0;
+/// 90 % of a normal distribution lie within this many standard deviations.
+pub const HALF_WIDTH_90: f64 = 1.6449;
+
+/// Encodes the package of a calibrated site.
+pub fn package(site: &IdentifiedSite, done: &(dyn Fn() + Sync)) -> Result<Vec<u8>, KernelError> {
+    let raw_rate = site.site.crossing.sensor.sample_rate_hz;
+    if (raw_rate - f64::from(RAW_RATE_HZ)).abs() > 0.5 {
+        return Err(KernelError::SampleRate { found: raw_rate, expected: f64::from(RAW_RATE_HZ) });
+    }
+    let kinds = kinds(&site.pattern);
+    let greens = node_greens(site);
+    let speeds = bin_speeds(site);
+    let grid = grid(&site.prior);
+    let parts: Vec<Vec<Parts>> = speeds
+        .par_iter()
+        .map(|v| {
+            let bin =
+                kinds.iter().map(|kind| operator(site, &greens, kind, *v, &grid)).collect::<Result<_, _>>();
+            done();
+            bin
+        })
+        .collect::<Result<_, InverseError>>()?;
+    let mut payload = Vec::new();
+    let mut header = header(site, &kinds, &grid)?;
+    for (speed, operators) in speeds.iter().zip(parts) {
+        let mut bin = Bin { speed_m_s: *speed as f32, operators: heapless::Vec::new() };
+        for parts in operators {
+            let operator = parts.store(&mut payload);
+            bin.operators
+                .push(operator)
+                .map_err(|_| too_many("kinds of axle groups", kinds.len(), bin.operators.len()))?;
+        }
+        header.bins.push(bin).map_err(|_| too_many("speed bins", speeds.len(), header.bins.len()))?;
+    }
+    header.payload_len = payload.len() as u32;
+    let mut out = vec![0; MAX_HEADER_LEN + 64];
+    let len = header.encode(&mut out).map_err(|e| KernelError::Header(format!("{e:?}")))?;
+    out.truncate(len);
+    out.extend(payload);
+    Ok(out)
+}
+
+/// Number of bins [`package`] makes, for progress.
+pub fn bin_count(site: &IdentifiedSite) -> usize {
+    bin_speeds(site).len()
+}
+
+/// Green's functions as the node sees the track: recorder and decimation filter included.
+fn node_greens(site: &IdentifiedSite) -> GreensFunctions {
+    let sensor = &site.site.crossing.sensor;
+    let chain = Chain::Node {
+        antialias: AntiAlias::new(sensor.antialias_order, sensor.antialias_hz),
+        taps: decimate::TAPS.iter().map(|t| f64::from(*t)).collect(),
+        raw_rate_hz: sensor.sample_rate_hz,
+    };
+    let sampling = GreensSampling { band_hz: [430.0, 498.0], ..GreensSampling::wide() };
+    let distribution =
+        site.ballast.parameters.distribution(site.track.sleeper_x_m.len(), site.track.sensor_sleeper);
+    GreensFunctions::new(&site.track, &distribution, sampling, Quantity::Acceleration, &chain)
+}
+
+fn bin_speeds(site: &IdentifiedSite) -> Vec<f64> {
+    let slowest = site.timings.iter().map(|t| t.speed_m_s).fold(f64::INFINITY, f64::min) * (1.0 - BIN_MARGIN);
+    let fastest = site.timings.iter().map(|t| t.speed_m_s).fold(0.0, f64::max) * (1.0 + BIN_MARGIN);
+    let steps = ((fastest / slowest).ln() / BIN_STEP).ceil().max(1.0) as usize;
+    (0..=steps).map(|i| slowest * (fastest / slowest).powf(i as f64 / steps as f64)).collect()
+}
+
+fn grid(prior: &Prior) -> Vec<f64> {
+    let count = ((prior.region_m[1] - prior.region_m[0]) / GRID_STEP_M).round() as usize + 1;
+    (0..count).map(|i| prior.region_m[0] + i as f64 * GRID_STEP_M).collect()
+}
+
+/// Matrices of one operator in double precision.
+struct Parts {
+    before: usize,
+    project: Mat<f64>,
+    expand: Mat<f64>,
+    offset_n: Vec<f64>,
+    half_width_n: Vec<f64>,
+    template_m_s2: Vec<f64>,
+}
+
+fn operator(
+    site: &IdentifiedSite,
+    greens: &GreensFunctions,
+    kind: &GroupKind,
+    speed_m_s: f64,
+    grid_m: &[f64],
+) -> Result<Parts, InverseError> {
+    let geometry = GroupGeometry {
+        direction: site.direction,
+        speed_m_s,
+        axle_offset_m: &kind.offsets.own,
+        train_offset_m: &kind.offsets.train,
+        static_force_n: site.static_force_n[0],
+    };
+    let estimator = Estimator::new(greens, &geometry, &site.prior, &site.profile)?;
+    let gains = estimator.gains(grid_m, LOW_PASS_HZ);
+    let (g, n) = (grid_m.len(), estimator.len());
+    let gain = Mat::from_fn(gains.len() * g, n, |i, k| gains[i / g].gain[(i % g, k)]);
+    let base: Vec<f64> = gains.iter().flat_map(|a| a.base_n.clone()).collect();
+    let half_width_n =
+        gains.iter().flat_map(|a| a.sd_n.iter().map(|s| HALF_WIDTH_90 * site.misfit_ratio * s)).collect();
+    let expand = leading_directions(&gain, &estimator);
+    let project = expand.transpose() * &gain;
+    let expected = Mat::from_fn(n, 1, |k, _| estimator.expected_m_s2[k]);
+    let shift = &expand * (&project * &expected);
+    let offset_n = base.iter().enumerate().map(|(i, b)| b - shift[(i, 0)]).collect();
+    Ok(Parts {
+        before: estimator.before,
+        project,
+        expand,
+        offset_n,
+        half_width_n,
+        template_m_s2: estimator.expected_m_s2,
+    })
+}
+
+/// Left singular vectors of gain × covariance root, as many as the truncation allows: in that metric a left-out
+/// direction is a standard deviation of the forces.
+fn leading_directions(gain: &Mat<f64>, estimator: &Estimator) -> Mat<f64> {
+    let weighted = gain * estimator.covariance_root();
+    let rows = weighted.nrows();
+    let Ok(svd) = weighted.thin_svd() else { return Mat::identity(rows, rows) };
+    let (u, s) = (svd.U(), svd.S().column_vector());
+    let mut left_out = vec![0.0; rows];
+    let mut rank = s.nrows();
+    while rank > 1 {
+        let within = left_out.iter_mut().enumerate().all(|(i, v): (usize, &mut f64)| {
+            *v += (u[(i, rank - 1)] * s[rank - 1]).powi(2);
+            *v <= TRUNCATION_N * TRUNCATION_N
+        });
+        if !within {
+            break;
+        }
+        rank -= 1;
+    }
+    u.subcols(0, rank).to_owned()
+}
+
+impl Parts {
+    fn store(&self, payload: &mut Vec<u8>) -> Operator {
+        Operator {
+            before: self.before as u16,
+            project: store_matrix(payload, &self.project),
+            expand: store_matrix(payload, &self.expand),
+            offset_n: store_column(payload, &self.offset_n),
+            half_width_n: store_column(payload, &self.half_width_n),
+            template_m_s2: store(payload, 1, self.template_m_s2.len(), self.template_m_s2.iter().copied()),
+        }
+    }
+}
+
+fn store_matrix(payload: &mut Vec<u8>, m: &Mat<f64>) -> Block {
+    let rows = (0..m.nrows()).flat_map(|i| (0..m.ncols()).map(move |j| m[(i, j)]));
+    store(payload, m.nrows(), m.ncols(), rows)
+}
+
+fn store_column(payload: &mut Vec<u8>, values: &[f64]) -> Block {
+    store(payload, values.len(), 1, values.iter().copied())
+}
+
+fn store(payload: &mut Vec<u8>, rows: usize, cols: usize, values: impl Iterator<Item = f64>) -> Block {
+    let start = payload.len();
+    for value in values {
+        payload.extend((value as f32).to_le_bytes());
+    }
+    Block { offset: start as u32, rows: rows as u16, cols: cols as u16, crc: block_crc(&payload[start..]) }
+}
+
+fn header(site: &IdentifiedSite, kinds: &[GroupKind], grid_m: &[f64]) -> Result<Header, KernelError> {
+    let crossing = &site.site.crossing;
+    let offsets = &site.pattern.offset_m;
+    let mut axle_offset_m = heapless::Vec::new();
+    for offset in offsets {
+        axle_offset_m
+            .push(*offset as f32)
+            .map_err(|_| too_many("axles", offsets.len(), axle_offset_m.len()))?;
+    }
+    let mut groups = heapless::Vec::new();
+    for group in site.pattern.groups() {
+        let operator = kinds.iter().position(|k| k.groups.contains(&group)).unwrap_or(0) as u8;
+        let entry = Group { first_axle: group.first as u8, axles: group.len as u8, operator };
+        groups.push(entry).map_err(|_| too_many("axle groups", site.pattern.groups().len(), groups.len()))?;
+    }
+    Ok(Header {
+        format: FORMAT,
+        provenance: Provenance {
+            site: shortened(&crossing.name),
+            model_hash: model_hash(site),
+            calibrated_on: heapless::String::new(),
+            written_by: shortened(concat!("cpcm ", env!("CARGO_PKG_VERSION"))),
+        },
+        sensor: Sensor {
+            sample_rate_hz: RAW_RATE_HZ as f32,
+            decimation: decimate::DECIMATION as u8,
+            m_s2_per_code: M_S2_PER_CODE,
+            range_m_s2: FULL_SCALE_CODE as f32 * M_S2_PER_CODE,
+        },
+        direction: site.direction as i8,
+        train: Train {
+            name: shortened(&crossing.vehicle.kind),
+            axle_offset_m,
+            static_force_n: site.static_force_n[0] as f32,
+            groups,
+        },
+        grid_first_m: grid_m[0] as f32,
+        grid_step_m: GRID_STEP_M as f32,
+        grid_len: grid_m.len() as u16,
+        bins: heapless::Vec::new(),
+        payload_len: 0,
+    })
+}
+
+fn too_many(what: &'static str, found: usize, limit: usize) -> KernelError {
+    KernelError::TooMany { what, found, limit }
+}
+
+/// As many characters as fit.
+fn shortened<const N: usize>(text: &str) -> heapless::String<N> {
+    let mut out = heapless::String::new();
+    for c in text.chars() {
+        if out.push(c).is_err() {
+            break;
+        }
+    }
+    out
+}
+
+/// CRC-64 of everything the operators depend on: site description, ballast, prior, profile.
+fn model_hash(site: &IdentifiedSite) -> u64 {
+    let text =
+        format!("{:?}{:?}{:?}{:?}", site.site.crossing, site.ballast.parameters, site.prior, site.profile);
+    crc::Crc::<u64>::new(&crc::CRC_64_XZ).checksum(text.as_bytes())
+}

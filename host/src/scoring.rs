@@ -1,0 +1,134 @@
+//! Results against known truth: for verification, tests and the demo only. Nothing in the analysis calls this.
+
+use crate::analysis::Analysis;
+use crate::forces::LOW_PASS_HZ;
+use crate::recording::Crossing;
+use crate::recording::truth::{Side, Truth, WheelTruth};
+use crate::signal::{CubicSpline, brick_band, mean, quantile};
+
+/// Time axis on which a true force is low-passed: rate (Hz) and length.
+const FINE_RATE_HZ: f64 = 8000.0;
+const FINE_LEN: usize = 4096;
+/// The true force is known within ±4 m and fades to the static force over the last of it, metres.
+const KNOWN_M: f64 = 4.0;
+const FADE_M: f64 = 0.3;
+
+/// True force of a wheel at `grid_m`, low-passed at 250 Hz like the identified one, newtons.
+pub fn true_force_n(
+    wheel: &WheelTruth,
+    crossing: &Crossing,
+    static_force_n: f64,
+    grid_m: &[f64],
+) -> Vec<f64> {
+    let sign = crossing.traffic_direction.sign();
+    let Some(spline) = CubicSpline::new(&wheel.position_m, &wheel.contact_force_n) else {
+        return vec![f64::NAN; grid_m.len()];
+    };
+    let time = |i: usize| (i as f64 - FINE_LEN as f64 / 2.0) / FINE_RATE_HZ;
+    let deviation: Vec<f64> = (0..FINE_LEN)
+        .map(|i| {
+            let x = sign * wheel.true_speed_m_s * time(i);
+            let fade = ((KNOWN_M - x.abs()) / FADE_M).clamp(0.0, 1.0);
+            if fade > 0.0 { (spline.at(x) - static_force_n) * fade } else { 0.0 }
+        })
+        .collect();
+    let low = brick_band(&deviation, FINE_RATE_HZ, 0.0, LOW_PASS_HZ);
+    let times: Vec<f64> = (0..FINE_LEN).map(time).collect();
+    let Some(smooth) = CubicSpline::new(&times, &low) else { return vec![f64::NAN; grid_m.len()] };
+    grid_m.iter().map(|x| static_force_n + smooth.at(sign * x / wheel.true_speed_m_s)).collect()
+}
+
+/// Errors of an analysis against the truth.
+#[derive(Clone, Debug, Default)]
+pub struct Score {
+    /// |peak error| relative to the true peak, one per wheelset.
+    pub peak: Vec<f64>,
+    /// Signed peak error, relative.
+    pub peak_signed: Vec<f64>,
+    /// RMS force error over the region relative to the true peak to peak.
+    pub waveform: Vec<f64>,
+    /// |position error| of the peak, metres.
+    pub peak_position_m: Vec<f64>,
+    /// |speed error|, relative, one per passage.
+    pub speed: Vec<f64>,
+    /// RMS displacement error while the train passes, relative to the true peak to peak, one per passage.
+    pub displacement: Vec<f64>,
+    /// Share of wheelsets whose true peak lies inside the interval.
+    pub peak_coverage: f64,
+    /// Share of grid points whose true force lies inside the interval.
+    pub waveform_coverage: f64,
+    /// True p1, p2 (N/m²), p3, where they exist.
+    pub ballast_truth: Option<[f64; 3]>,
+}
+
+impl Score {
+    /// Median of one of the error lists.
+    pub fn median(values: &[f64]) -> f64 {
+        quantile(values, 0.5)
+    }
+
+    /// 90th percentile.
+    pub fn p90(values: &[f64]) -> f64 {
+        quantile(values, 0.9)
+    }
+}
+
+/// Compares an analysis with the truth of its site.
+pub fn score(analysis: &Analysis, truth: &Truth) -> Score {
+    let mut score = Score { ballast_truth: truth.site.ballast.p1_p2_p3, ..Score::default() };
+    let (mut peaks_inside, mut points_inside, mut points) = (0usize, 0usize, 0usize);
+    for passage in &analysis.passages {
+        let static_force_n =
+            analysis.crossing.vehicle.axle_load_kg * analysis.crossing.vehicle.gravity_m_s2 / 2.0;
+        for wheel in &passage.wheelsets {
+            let Some(known) = truth.wheels.iter().find(|t| {
+                t.passage_id == passage.passage_id && t.wheelset == wheel.wheelset && t.side == Side::Crossing
+            }) else {
+                continue;
+            };
+            let true_n = true_force_n(known, &analysis.crossing, static_force_n, &wheel.position_m);
+            let at = (0..true_n.len()).max_by(|a, b| true_n[*a].total_cmp(&true_n[*b])).unwrap_or(0);
+            let (peak, range) =
+                (true_n[at], true_n[at] - true_n.iter().copied().fold(f64::INFINITY, f64::min));
+            let error = (wheel.peak_force_n.value - peak) / peak;
+            score.peak.push(error.abs());
+            score.peak_signed.push(error);
+            let square = mean(
+                &true_n.iter().zip(&wheel.contact_force_n).map(|(a, b)| (a - b).powi(2)).collect::<Vec<_>>(),
+            );
+            score.waveform.push(square.sqrt() / range);
+            score.peak_position_m.push((wheel.peak_position_m - wheel.position_m[at]).abs());
+            peaks_inside +=
+                usize::from((wheel.peak_force_n.lower..=wheel.peak_force_n.upper).contains(&peak));
+            points += true_n.len();
+            points_inside += (0..true_n.len())
+                .filter(|i| (wheel.lower_n[*i]..=wheel.upper_n[*i]).contains(&true_n[*i]))
+                .count();
+            if wheel.wheelset == 0 {
+                score.speed.push((passage.speed_m_s / known.true_speed_m_s - 1.0).abs());
+                if let Some(d) = &known.sleeper_displacement_m {
+                    score.displacement.push(displacement_error(passage, d));
+                }
+            }
+        }
+    }
+    score.peak_coverage = peaks_inside as f64 / score.peak.len().max(1) as f64;
+    score.waveform_coverage = points_inside as f64 / points.max(1) as f64;
+    score
+}
+
+/// RMS error over the time from the first axle 8 m before to the last 8 m behind the crossing, over peak to peak.
+fn displacement_error(passage: &crate::analysis::PassageResult, true_m: &[f64]) -> f64 {
+    let found = &passage.displacement_m;
+    let truth = crate::signal::resample(true_m, found.len());
+    let reach_s = 8.0 / passage.speed_m_s;
+    let first = passage.axle_times_s.first().map_or(0.0, |t| t - reach_s);
+    let last = passage.axle_times_s.last().map_or(0.0, |t| t + reach_s);
+    let inside: Vec<usize> = (0..found.len().min(truth.len()))
+        .filter(|i| (first..=last).contains(&(*i as f64 / passage.trace_rate_hz)))
+        .collect();
+    let square = mean(&inside.iter().map(|i| (found[*i] - truth[*i]).powi(2)).collect::<Vec<_>>());
+    let high = truth.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    let low = truth.iter().copied().fold(f64::INFINITY, f64::min);
+    square.sqrt() / (high - low)
+}

@@ -219,13 +219,13 @@ fn property_packages_that_do_not_fit_are_refused() {
     let refused = |package: &[u8]| client(&node).upload_kernel(package, &mut |_| {}).unwrap_err();
     let good = synthetic_kernel::package("too long");
     let (mut header, _) = Header::decode(&good).unwrap();
-    header.payload_len = 4 << 20;
+    header.payload_len = 6 << 20;
     let mut long = vec![0; 5000];
     let length = header.encode(&mut long).unwrap();
     long.resize(length + header.payload_len as usize, 0);
     let error = refused(&long);
     let Refusal::Package(bank::Refusal::TooLong { length, max }) = refusal(&error) else { panic!("{error}") };
-    assert_eq!((length, max), (long.len() as u32, 3 << 20));
+    assert_eq!((length, max), (long.len() as u32, 5 << 20));
     assert!(matches!(refused(b"no package"), ClientError::Package(_)));
     assert!(matches!(refused(&good[..good.len() - 1]), ClientError::PackageLength { .. }));
     // A tool that does not look first is refused by the node itself, with the chunk that completes the header.

@@ -67,6 +67,7 @@ impl<F: MultiwriteNorFlash> Node<F> {
                     sensor_errors: 0,
                     storage_errors: 0,
                     link_errors: 0,
+                    fifo_deepest: 0,
                 },
             }),
             lost_passages: Cell::new(0),

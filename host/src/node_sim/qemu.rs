@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use cpcm_shared::image::{HEADER_LEN, Header, LEN, MAX_SAMPLES, SAMPLES};
+use cpcm_shared::image::{HEADER_LEN, Header, LEN, MAX_SAMPLES, SAMPLES, encode_sample};
 use cpcm_shared::sample::SensorCode;
 use cpcm_shared::storage::FLASH_LEN;
 
@@ -101,7 +101,7 @@ impl Qemu {
         image.extend_from_slice(flash.bytes());
         debug_assert_eq!(image.len(), SAMPLES);
         image.extend_from_slice(&header);
-        image.extend(codes.iter().flat_map(|code| code.get().to_le_bytes()));
+        image.extend(codes.iter().flat_map(|&code| encode_sample(code)));
         image.resize(LEN, 0);
         write(&image_path(dir), &image)
     }

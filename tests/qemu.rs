@@ -90,6 +90,7 @@ fn reference_elf_and_simulated_node_give_the_same_bytes() {
     let mut client = NodeClient::open(&qemu.address()).unwrap();
     let live = wait_until(&mut client, &mut qemu, |live| live.activity == Activity::Ended);
     assert_eq!((live.counters.samples, live.counters.lost_samples), (codes().len() as u64, 0));
+    assert!(live.counters.fifo_deepest <= 28, "{:?}: 1 ms of the FIFO stays free", live.counters);
     assert_eq!((live.counters.passages, live.counters.lost_passages), (24, 0));
     assert_eq!(downloaded(&mut client), expected);
     let (records, _, fault) = parse_records(&expected);

@@ -6,6 +6,7 @@ mod analyse;
 mod convert;
 mod demo;
 mod kernel;
+pub mod node;
 mod output;
 mod progress;
 
@@ -34,6 +35,7 @@ enum Command {
     Demo(demo::DemoArgs),
     Analyse(analyse::AnalyseArgs),
     Kernel(kernel::KernelArgs),
+    Node(node::NodeArgs),
     Convert(convert::ConvertArgs),
 }
 
@@ -44,6 +46,7 @@ pub fn main() -> ExitCode {
         Command::Demo(args) => args.run(),
         Command::Analyse(args) => args.run(),
         Command::Kernel(args) => args.run(),
+        Command::Node(args) => args.run(),
         Command::Convert(args) => args.run(),
     };
     match result {

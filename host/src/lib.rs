@@ -12,6 +12,7 @@ pub mod interaction;
 pub mod inverse;
 pub mod irregularity;
 pub mod kernel;
+pub mod node_client;
 pub mod node_sim;
 pub mod pipeline;
 pub mod progress;

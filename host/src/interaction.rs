@@ -28,7 +28,13 @@ pub struct Interaction {
 
 impl Interaction {
     /// For forces within `half_m` of x = 0.
-    pub fn new(track: &Track, ballast_n_m2: &[f64], vehicle: &Vehicle, half_m: f64, sampling: GreensSampling) -> Self {
+    pub fn new(
+        track: &Track,
+        ballast_n_m2: &[f64],
+        vehicle: &Vehicle,
+        half_m: f64,
+        sampling: GreensSampling,
+    ) -> Self {
         let rail = |side| RailGreens::new(track, ballast_n_m2, side, half_m, sampling);
         Self {
             rails: [rail(Side::Crossing), rail(Side::Stock)],
@@ -74,8 +80,9 @@ fn index(side: Side) -> usize {
 
 /// Deflection of each rail under unit static forces on both rails at the same x.
 fn static_compliance(track: &Track, ballast_n_m2: &[f64], half_m: f64) -> [CubicSpline; 2] {
-    let nodes: Vec<usize> =
-        (0..track.node_x_m.len()).filter(|i| track.node_x_m[*i].abs() <= half_m + 2.0 * track.step_m).collect();
+    let nodes: Vec<usize> = (0..track.node_x_m.len())
+        .filter(|i| track.node_x_m[*i].abs() <= half_m + 2.0 * track.step_m)
+        .collect();
     let x: Vec<f64> = nodes.iter().map(|i| track.node_x_m[*i]).collect();
     let deflection = track.static_deflection_under_axle(ballast_n_m2, &nodes);
     [0, 1].map(|rail| {
@@ -87,10 +94,8 @@ fn static_compliance(track: &Track, ballast_n_m2: &[f64], half_m: f64) -> [Cubic
 /// Band-limited impulse response of a rigid wheelset on its primary suspension (heave and roll, bogie frame at rest)
 /// at one contact.
 fn wheel_response(vehicle: &Vehicle, sampling: GreensSampling) -> Vec<f64> {
-    let (k, c) = (
-        2.0 * vehicle.primary_stiffness_per_axle_box_n_m,
-        2.0 * vehicle.primary_damping_per_axle_box_ns_m,
-    );
+    let (k, c) =
+        (2.0 * vehicle.primary_stiffness_per_axle_box_n_m, 2.0 * vehicle.primary_damping_per_axle_box_ns_m);
     let lever = vehicle.axle_box_half_distance_m.powi(2);
     let contact = vehicle.contact_half_distance_m.powi(2);
     let mut spectrum = vec![c64::new(0.0, 0.0); sampling.len / 2 + 1];
@@ -98,7 +103,8 @@ fn wheel_response(vehicle: &Vehicle, sampling: GreensSampling) -> Vec<f64> {
         let w = std::f64::consts::TAU * f;
         let suspension = c64::new(k, w * c);
         let heave = c64::new(1.0, 0.0) / (suspension - w * w * vehicle.wheelset_mass_kg);
-        let roll = c64::new(contact, 0.0) / (suspension * lever - w * w * vehicle.wheelset_roll_inertia_kg_m2);
+        let roll =
+            c64::new(contact, 0.0) / (suspension * lever - w * w * vehicle.wheelset_roll_inertia_kg_m2);
         *value = (heave + roll) * (taper(f, sampling.band_hz[0], sampling.band_hz[1]) * sampling.rate_hz);
     }
     irfft(&spectrum, sampling.len)

@@ -47,8 +47,7 @@ pub fn irregularity(
             path - rail - compression
         })
         .collect();
-    let banded =
-        brick_band(&without_cubic(&raw), rate_hz, speed_m_s / LONGEST_WAVELENGTH_M, LOW_PASS_HZ);
+    let banded = brick_band(&without_cubic(&raw), rate_hz, speed_m_s / LONGEST_WAVELENGTH_M, LOW_PASS_HZ);
     on_grid(&force.position_m, &banded, grid_m)
 }
 

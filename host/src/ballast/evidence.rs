@@ -10,10 +10,10 @@ use faer::Mat;
 
 use super::BallastParameters;
 use crate::greens::{Chain, GreensFunctions, GreensSampling, Quantity};
+use crate::interaction::Interaction;
 use crate::inverse::hierarchy::{SiteModel, SitePassage, SitePosterior};
 use crate::inverse::hyper::refine;
 use crate::inverse::{InverseError, Prior, ProfileGrids};
-use crate::interaction::Interaction;
 use crate::recording::Vehicle;
 use crate::track::Track;
 use crate::vehicle::AxlePattern;
@@ -70,7 +70,11 @@ impl EvidenceProblem<'_> {
     }
 
     /// Prior whose hyper-parameters the evidence prefers at given ballast.
-    pub fn refined(&self, ballast: &BallastParameters, passages: &[SitePassage]) -> Result<Prior, InverseError> {
+    pub fn refined(
+        &self,
+        ballast: &BallastParameters,
+        passages: &[SitePassage],
+    ) -> Result<Prior, InverseError> {
         let distribution = ballast.distribution(self.track.sleeper_x_m.len(), self.track.sensor_sleeper);
         let model = LowModel::new(self, &distribution);
         Ok(refine(&self.prior, &|prior| Ok(model.posterior(self, prior, passages)?.log_evidence))?.0)
@@ -154,7 +158,13 @@ impl LowModel {
         let sampling = GreensSampling::low();
         let (track, half_m) = (problem.track, problem.prior.half_m);
         Self {
-            greens: GreensFunctions::new(track, distribution, sampling, Quantity::Acceleration, &Chain::Corrected),
+            greens: GreensFunctions::new(
+                track,
+                distribution,
+                sampling,
+                Quantity::Acceleration,
+                &Chain::Corrected,
+            ),
             interaction: Interaction::new(track, distribution, problem.vehicle, half_m, sampling),
         }
     }

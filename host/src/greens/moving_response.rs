@@ -27,9 +27,16 @@ const MEMORY_S: f64 = 0.15;
 
 impl RailGreens {
     /// Responses of one rail within `half_m` of x = 0.
-    pub fn new(track: &Track, ballast_n_m2: &[f64], side: Side, half_m: f64, sampling: GreensSampling) -> Self {
-        let nodes: Vec<usize> =
-            (0..track.node_x_m.len()).filter(|i| track.node_x_m[*i].abs() <= half_m + 1.01 * track.step_m).collect();
+    pub fn new(
+        track: &Track,
+        ballast_n_m2: &[f64],
+        side: Side,
+        half_m: f64,
+        sampling: GreensSampling,
+    ) -> Self {
+        let nodes: Vec<usize> = (0..track.node_x_m.len())
+            .filter(|i| track.node_x_m[*i].abs() <= half_m + 1.01 * track.step_m)
+            .collect();
         let frequencies = sampling.frequencies_hz();
         let receptance = track.rail_receptance(&frequencies, ballast_n_m2, side, &nodes, &nodes);
         let n = nodes.len();

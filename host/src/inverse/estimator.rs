@@ -7,9 +7,9 @@ use faer::{Accum, Mat, MatRef, Par};
 
 use super::Prior;
 use super::profile::CommonProfile;
-use crate::interaction::Interaction;
 use crate::greens::GreensFunctions;
 use crate::greens::moving::{WheelPath, constant_force_response, kernel};
+use crate::interaction::Interaction;
 use crate::track::Side;
 
 /// Time after the last wheel has left the reach during which its response is still used, seconds.
@@ -264,7 +264,8 @@ impl AxleModel {
             let matrix = kernel(greens, side, &path, prior.half_m, len);
             let follow = interaction.force_per_irregularity(side, &positions, static_force_n);
             let deflection = interaction.static_deflection_m(side, &positions, static_force_n);
-            let excitation = Mat::from_fn(positions.len(), 1, |j, _| deflection[j] + mean.at(side, positions[j]));
+            let excitation =
+                Mat::from_fn(positions.len(), 1, |j, _| deflection[j] + mean.at(side, positions[j]));
             let mean_n = &follow * &excitation;
             let response = &matrix * &follow;
             for (j, x) in positions.iter().enumerate() {

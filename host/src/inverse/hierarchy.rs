@@ -156,8 +156,13 @@ impl SiteModel<'_> {
         let mut log_likelihood = 0.0;
         let zero = CommonProfile::zero(self.grids.clone());
         for kind in kinds(self.pattern) {
-            let estimator =
-                Estimator::new(self.greens, &self.geometry(&kind.offsets, passage), self.prior, self.interaction, &zero)?;
+            let estimator = Estimator::new(
+                self.greens,
+                &self.geometry(&kind.offsets, passage),
+                self.prior,
+                self.interaction,
+                &zero,
+            )?;
             for group in &kind.groups {
                 let columns = self.columns(&estimator, passage, *group);
                 let whitened = estimator.whiten(&columns);

@@ -3,6 +3,7 @@
 pub mod analysis;
 pub mod ballast;
 pub mod beam;
+pub mod closed_form;
 pub mod cmd;
 pub mod forces;
 pub mod greens;

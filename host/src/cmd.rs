@@ -8,6 +8,7 @@ mod demo;
 mod kernel;
 mod output;
 mod progress;
+mod verify;
 
 use std::process::ExitCode;
 
@@ -34,6 +35,7 @@ enum Command {
     Demo(demo::DemoArgs),
     Analyse(analyse::AnalyseArgs),
     Kernel(kernel::KernelArgs),
+    Verify(verify::VerifyArgs),
     Convert(convert::ConvertArgs),
 }
 
@@ -44,6 +46,7 @@ pub fn main() -> ExitCode {
         Command::Demo(args) => args.run(),
         Command::Analyse(args) => args.run(),
         Command::Kernel(args) => args.run(),
+        Command::Verify(args) => args.run(),
         Command::Convert(args) => args.run(),
     };
     match result {

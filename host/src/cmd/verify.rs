@@ -8,10 +8,9 @@ use serde_json::json;
 
 use super::output::{print, print_json};
 use super::progress::Bar;
-use crate::pipeline;
 use crate::recording::files::{create_dir, write_atomic};
 use crate::report::verification;
-use crate::verification::{Case, Verification};
+use crate::verification::{self as checks, Case, Verification};
 
 /// Check the model against closed forms, reference curves and the cases of the paper
 ///
@@ -30,7 +29,7 @@ pub(super) struct VerifyArgs {
 impl VerifyArgs {
     pub(super) fn run(self) -> anyhow::Result<()> {
         create_dir(&self.out)?;
-        let result = pipeline::verify(&Bar::new()).context("cannot run the checks")?;
+        let result = checks::run(&Bar::new()).context("cannot run the checks")?;
         write_atomic(&self.out.join("verification.csv"), verification::csv(&result).as_bytes())?;
         write_atomic(&self.out.join("verification.html"), verification::html(&result)?.as_bytes())?;
         match self.json {

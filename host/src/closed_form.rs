@@ -140,8 +140,7 @@ impl BeamCrossing {
     /// Modal coordinate of one branch under the force P sin(kvt), at rest at first.
     fn branch(&self, k: f64, omega2: f64, t_s: f64) -> f64 {
         let s = &self.section;
-        let rotation =
-            s.shear_n * k / (s.bending_n_m2 * k * k + s.shear_n - s.rotary_kg_m * omega2);
+        let rotation = s.shear_n * k / (s.bending_n_m2 * k * k + s.shear_n - s.rotary_kg_m * omega2);
         let mass = 0.5 * self.span_m * (s.mass_kg_m + s.rotary_kg_m * rotation * rotation);
         let (drive, decay) = (k * self.speed_m_s, 0.5 * self.damping_s * omega2);
         let difference = omega2 - drive * drive;
@@ -152,10 +151,8 @@ impl BeamCrossing {
         let start = (-decay * cosine - sine * drive) / damped;
         let z = damped * t_s;
         // e^{−decay t} goes into the exponentials: cosh of an overdamped mode alone would overflow.
-        let (plus, minus) = (
-            (z * c64::new(0.0, 1.0) - decay * t_s).exp(),
-            (z * c64::new(0.0, -1.0) - decay * t_s).exp(),
-        );
+        let (plus, minus) =
+            ((z * c64::new(0.0, 1.0) - decay * t_s).exp(), (z * c64::new(0.0, -1.0) - decay * t_s).exp());
         let cos = (plus + minus) * 0.5;
         let sin = (plus - minus) * c64::new(0.0, -0.5);
         let free = cos * (-cosine) + sin * start;
@@ -211,8 +208,14 @@ mod tests {
             sleeper_kg_m: ms / 0.6,
         };
         let tracks = [
-            (per_seat(60e6, 6e3, 39e6, 162.5e3, 130.0), [14.8175, 14.2258, 12.1073, 9.6861, 14.8312, 11.5998]),
-            (per_seat(1200e6, 25e3, 39e6, 162.5e3, 130.0), [10.5476, 10.0244, 8.0394, 4.9445, 2.1530, 1.5468]),
+            (
+                per_seat(60e6, 6e3, 39e6, 162.5e3, 130.0),
+                [14.8175, 14.2258, 12.1073, 9.6861, 14.8312, 11.5998],
+            ),
+            (
+                per_seat(1200e6, 25e3, 39e6, 162.5e3, 130.0),
+                [10.5476, 10.0244, 8.0394, 4.9445, 2.1530, 1.5468],
+            ),
             (per_seat(200e6, 28e3, 40e6, 47e3, 140.0), [11.5455, 12.0044, 14.9525, 9.5285, 1.8951, 2.1669]),
         ];
         for (support, known) in tracks {

@@ -152,10 +152,7 @@ pub(super) mod tests {
     fn property_bad_models_are_refused_with_their_numbers() {
         let mut model = example();
         model.low_pass_hz = 600.0;
-        assert_eq!(
-            model.check(),
-            Err(DisplacementError::Band { low_pass_hz: 600.0, rate_hz: 1000.0 })
-        );
+        assert_eq!(model.check(), Err(DisplacementError::Band { low_pass_hz: 600.0, rate_hz: 1000.0 }));
         model.low_pass_hz = 0.0;
         assert!(model.check().is_err());
         let empty = DisplacementModel { kernel: Mat::zeros(5, 0), ..example() };

@@ -74,12 +74,10 @@ pub fn two_layer() -> Vec<Case> {
             sleeper_kg_m: 130.0 / d,
         };
         let f: Vec<f64> = (0..=60).map(|k| 5.0 * k as f64).collect();
-        let expected: Vec<f64> = f
-            .iter()
-            .map(|f| point_receptance(&rail(), layers.dynamic(TAU * f), TAU * f).norm())
-            .collect();
+        let expected: Vec<f64> =
+            f.iter().map(|f| point_receptance(&rail(), layers.dynamic(TAU * f), TAU * f).norm()).collect();
         // On sleepers the wheel finds another stiffness over a sleeper than between two: their mean is compared.
-        for (what, spacing, tolerance) in [("dense supports", 0.1, 2e-3), ("sleepers", d, 0.02)] {
+        for (what, spacing, tolerance) in [("dense supports", 0.05, 2e-3), ("sleepers", d, 0.04)] {
             let track = reference::continuous(rail(), layers, spacing);
             let found = mean_receptance(&track, layers.ballast_n_m2, &f);
             cases.push(
@@ -121,15 +119,21 @@ pub fn pinned_pinned() -> (Vec<Case>, Table) {
     let exact = pinned_pinned_hz(&section, span);
     let mut table = Table::new(
         "Pinned\u{2013}pinned frequency of a 60E1 rail, 0.6 m between supports",
-        "Locking-free Timoshenko elements with consistent mass: the error falls with the square of the element length \
-         or faster.",
+        "Plain elements with consistent mass: the error falls with the square of the element length. The track uses \
+         them halved twice and condensed, which is worth four times as many.",
         &["elements per bay", "frequency, Hz", "error"],
     );
     let mut errors = Vec::new();
     for elements in [2, 4, 6, 8, 12] {
-        let hz = first_resonance_hz(&reference::simple_beam(section, span, elements, 0.0), exact);
+        let mut track = reference::simple_beam(section, span, elements, 0.0);
+        track.rail_halvings = 0;
+        let hz = first_resonance_hz(&track, exact);
         errors.push(hz / exact - 1.0);
-        table.row(&[elements.to_string(), format!("{hz:.1}"), format!("{:+.2} %", 100.0 * (hz / exact - 1.0))]);
+        table.row(&[
+            elements.to_string(),
+            format!("{hz:.1}"),
+            format!("{:+.2} %", 100.0 * (hz / exact - 1.0)),
+        ]);
     }
     let order = (errors[1] / errors[3]).log2();
     let cases = vec![
@@ -139,7 +143,7 @@ pub fn pinned_pinned() -> (Vec<Case>, Table) {
             2e-3,
         ),
         Case::new("pinned\u{2013}pinned frequency, order of convergence", "4 and 8 elements per bay", "1")
-            .values(2.0, order, 0.25),
+            .values(2.0, order, 0.1),
     ];
     (cases, table)
 }

@@ -6,9 +6,11 @@ use super::reference::{self, SOFT, SPEED_M_S, STIFF, WHEEL_N};
 use super::{Case, Table};
 use crate::greens::moving::{WheelPath, constant_force_response, kernel};
 use crate::greens::{Chain, GreensFunctions, GreensSampling, Quantity};
-use crate::signal::{CubicSpline, rms};
+use crate::signal::{CubicSpline, brick_band, rms};
 use crate::track::{Mesh, Side, Track};
 
+/// Forces are identified up to here, Hz.
+const COMPARED_HZ: f64 = 250.0;
 const BOTH: [reference::PadCase; 2] = [SOFT, STIFF];
 /// The identification's own sampling.
 const USED: GreensSampling = GreensSampling { rate_hz: 1000.0, len: 512, band_hz: [260.0, 330.0] };
@@ -38,6 +40,8 @@ fn passage(track: &Track, sampling: GreensSampling, quantity: Quantity) -> Vec<f
         let force = WHEEL_N * (-((x - 0.1) / 0.2).powi(2)).exp();
         response.iter_mut().zip(impact.col(j).iter()).for_each(|(r, k)| *r += force * k);
     }
+    // Where the samplings differ in their band, nothing but the band that all share is compared.
+    let response = brick_band(&response, sampling.rate_hz, 0.0, COMPARED_HZ);
     let step = (sampling.rate_hz / 1000.0).round() as usize;
     response.into_iter().step_by(step).skip(140).take(120).collect()
 }
@@ -69,14 +73,22 @@ pub fn mesh() -> (Vec<Case>, Table) {
     let mut table = Table::new(
         "Mesh",
         "Sensor response to a passing wheel with an impact, RMS difference from elements of 0.05 m along rails and \
-         sleepers; soft or stiff pads, whichever is worse. The paper's mesh is 0.3 m and 0.25 m.",
-        &["rail elements, m", "sleeper elements, m", "displacement", "acceleration below 260 Hz"],
+         sleepers; soft or stiff pads, whichever is worse. The paper's mesh is 0.3 m and 0.25 m. Rail elements \
+         are halved twice and condensed, except in the line marked plain.",
+        &["rail elements, m", "sleeper elements, m", "displacement", "acceleration below 250 Hz"],
     );
     let track = |rail: f64, sleeper: f64| {
         move |pads| reference::panel(pads, Mesh { rail_step_m: rail, sleeper_step_m: sleeper })
     };
     let finest = BOTH.map(|p| responses(&track(0.05, 0.05)(p), USED));
     let mut errors = Vec::new();
+    let plain = |pads| {
+        let mut track = track(0.3, 0.25)(pads);
+        track.rail_halvings = 0;
+        track
+    };
+    let e = worst_of(&plain, &finest);
+    table.row(&["0.3, plain".into(), "0.25".into(), percent(e[0]), percent(e[1])]);
     for (rail, sleeper) in [(0.6, 0.5), (0.3, 0.5), (0.3, 0.25), (0.2, 0.25), (0.15, 0.125), (0.1, 0.1)] {
         let e = worst_of(&track(rail, sleeper), &finest);
         table.row(&[format!("{rail}"), format!("{sleeper}"), percent(e[0]), percent(e[1])]);
@@ -88,7 +100,7 @@ pub fn mesh() -> (Vec<Case>, Table) {
             errors[2][0],
             5e-3,
         ),
-        Case::new("mesh 0.3 m / 0.25 m, acceleration below 260 Hz", "mesh 0.05 m", "1").values(
+        Case::new("mesh 0.3 m / 0.25 m, acceleration below 250 Hz", "mesh 0.05 m", "1").values(
             0.0,
             errors[2][1],
             2e-2,
@@ -102,14 +114,11 @@ pub fn sampling() -> (Vec<Case>, Table) {
     let mut table = Table::new(
         "Sampling of the Green's functions",
         "The same passage, difference from 20 kHz; lengths are 0.5 s or more. The paper samples at 5 kHz. The identification works at 1 kHz with a \
-         band limit from 260 to 330 Hz, which only touches what the impact holds above 260 Hz.",
+         band limit from 260 to 330 Hz. Compared below 250 Hz.",
         &["rate, Hz", "samples", "displacement", "acceleration"],
     );
-    let wide = |rate_hz: f64, len: usize| GreensSampling {
-        rate_hz,
-        len,
-        band_hz: [0.4 * rate_hz, 0.49 * rate_hz],
-    };
+    let wide =
+        |rate_hz: f64, len: usize| GreensSampling { rate_hz, len, band_hz: [0.4 * rate_hz, 0.49 * rate_hz] };
     let tracks = BOTH.map(|p| reference::panel(p, Mesh::default()));
     let finest = [0, 1].map(|i| responses(&tracks[i], wide(20_000.0, 16_384)));
     let mut last = [0.0; 2];
@@ -128,7 +137,8 @@ pub fn sampling() -> (Vec<Case>, Table) {
         }
     }
     let case = |what: &str, value: f64, tolerance: f64| {
-        Case::new(&format!("sampling at 1 kHz, {what} of a passage"), "20 kHz", "1").values(0.0, value, tolerance)
+        Case::new(&format!("sampling at 1 kHz, {what} of a passage"), "20 kHz", "1")
+            .values(0.0, value, tolerance)
     };
     (vec![case("displacement", last[0], 2e-3), case("acceleration", last[1], 1e-2)], table)
 }
@@ -141,8 +151,7 @@ pub fn length() -> (Vec<Case>, Table) {
          paper finds 37 sleepers to be enough. On a short track the static force comes on at the end of the rails.",
         &["sleepers", "length, m", "displacement", "acceleration"],
     );
-    let finest =
-        BOTH.map(|p| responses(&reference::panel_of_length(p, Mesh::default(), 101), USED));
+    let finest = BOTH.map(|p| responses(&reference::panel_of_length(p, Mesh::default(), 101), USED));
     let mut cases = Vec::new();
     for n in [13, 19, 25, 31, 37, 49, 61] {
         let e = worst_of(&|p| reference::panel_of_length(p, Mesh::default(), n), &finest);
@@ -169,7 +178,7 @@ pub fn interpolation() -> (Vec<Case>, Table) {
     );
     let f = [1.0, 50.0, 100.0, 150.0, 200.0, 250.0];
     let exact = BOTH.map(|p| on_centimetres(&crossing_track(p, 0.01), &f, false));
-    let mut used = 0.0;
+    let mut used = [0.0; 2];
     for step in [0.6, 0.3, 0.2, 0.15, 0.1] {
         let mut cells = vec![format!("{step}")];
         for spline in [false, true] {
@@ -183,14 +192,16 @@ pub fn interpolation() -> (Vec<Case>, Table) {
             let to = |last: usize| worst[..last].iter().copied().fold(0.0, f64::max);
             cells.extend([percent(to(3)), percent(to(6))]);
             if step == 0.3 && !spline {
-                used = to(6);
+                used = [to(3), to(6)];
             }
         }
         table.row(&cells);
     }
-    let case =
-        Case::new("Green's functions interpolated from 0.3 m to 1 cm, to 250 Hz", "elements of 1 cm", "1");
-    (vec![case.values(0.0, used, 1e-2)], table)
+    let case = |band: &str, value: f64, tolerance: f64| {
+        let name = format!("Green's functions interpolated from 0.3 m to 1 cm, to {band}");
+        Case::new(&name, "elements of 1 cm", "1").values(0.0, value, tolerance)
+    };
+    (vec![case("100 Hz", used[0], 2e-3), case("250 Hz", used[1], 1e-2)], table)
 }
 
 fn crossing_track(pads: reference::PadCase, rail_step_m: f64) -> Track {

@@ -22,8 +22,13 @@ fn reciprocity() -> Case {
     for pads in [SOFT, STIFF] {
         let track = reference::panel(pads, Mesh::default());
         let nodes = [3, 20, 35, 36, 41, 60];
-        let h =
-            track.rail_receptance(&FREQUENCIES_HZ, &reference::ballast(&track), Side::Crossing, &nodes, &nodes);
+        let h = track.rail_receptance(
+            &FREQUENCIES_HZ,
+            &reference::ballast(&track),
+            Side::Crossing,
+            &nodes,
+            &nodes,
+        );
         for h in &h {
             let scale = h[3][3].norm();
             for i in 0..nodes.len() {
@@ -62,10 +67,8 @@ fn power(track: &Track, node: usize, f_hz: f64) -> (f64, f64) {
     let given = -0.5 * omega * h[seats.len()].im;
     let (length, mass) = (1.25, 150.0);
     let pad = track.pad.dynamic(omega);
-    let below = c64::new(
-        BALLAST_N_M2 * length - omega * omega * mass,
-        omega * track.ballast_damping_ns_m2 * length,
-    );
+    let below =
+        c64::new(BALLAST_N_M2 * length - omega * omega * mass, omega * track.ballast_damping_ns_m2 * length);
     let taken: f64 = h[..seats.len()]
         .iter()
         .map(|rail| {

@@ -62,11 +62,8 @@ fn sleeper_cases(
         Quantity::Displacement,
         &Chain::Corrected,
     );
-    let path = WheelPath {
-        direction: 1.0,
-        speed_m_s: SPEED_M_S,
-        time_at_origin_s: (REACH_M + 0.5) / SPEED_M_S,
-    };
+    let path =
+        WheelPath { direction: 1.0, speed_m_s: SPEED_M_S, time_at_origin_s: (REACH_M + 0.5) / SPEED_M_S };
     let samples = (2.0 * path.time_at_origin_s * sampling.rate_hz) as usize;
     let matrix = kernel(&greens, Side::Crossing, &path, REACH_M, samples);
     let first = *path.samples_within(REACH_M, sampling.rate_hz).start();
@@ -82,13 +79,15 @@ fn sleeper_cases(
     let largest = |v: &[f64]| v.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     let name = |what: &str| format!("T1 moving force, {}, sleeper, {what}", pads.name);
     Ok(vec![
-        Case::new(&name("peak"), SOURCE, "m").values(largest(expected), largest(&found), TOLERANCE).with(Curves {
-            x_caption: "position of the force, m from the sleeper",
-            y_caption: "deflection of the sleeper, m",
-            x: x.to_vec(),
-            expected: expected.to_vec(),
-            found: found.clone(),
-        }),
+        Case::new(&name("peak"), SOURCE, "m").values(largest(expected), largest(&found), TOLERANCE).with(
+            Curves {
+                x_caption: "position of the force, m from the sleeper",
+                y_caption: "deflection of the sleeper, m",
+                x: x.to_vec(),
+                expected: expected.to_vec(),
+                found: found.clone(),
+            },
+        ),
         Case::new(&name("largest difference over the passage"), SOURCE, "1").values(
             0.0,
             largest_difference(expected, &found),
@@ -98,12 +97,7 @@ fn sleeper_cases(
 }
 
 /// Rail under the force within 2 m of the middle: moving-response kernel.
-fn rail_case(
-    track: &Track,
-    pads: PadCase,
-    x: &[f64],
-    under_load: &[f64],
-) -> Result<Case, VerifyError> {
+fn rail_case(track: &Track, pads: PadCase, x: &[f64], under_load: &[f64]) -> Result<Case, VerifyError> {
     let rate_hz = 1000.0;
     // The kernel forgets after 0.15 s, 7.5 m: 10 m of approach are enough.
     let rail = RailGreens::new(track, &reference::ballast(track), Side::Crossing, 10.0, rate_hz);

@@ -18,7 +18,7 @@ use crate::inverse::displacement::{DisplacementModel, Rule, RuleSolver, fit_by_e
 use crate::progress::Progress;
 use crate::recording::table::Cells;
 use crate::signal::{brick_band, quantile, rms};
-use crate::track::{Mesh, Side};
+use crate::track::{Mesh, Side, Track};
 
 const RATE_HZ: f64 = 5000.0;
 /// Samples while a wheel is on the rails, one per centimetre.
@@ -89,13 +89,12 @@ fn paths() -> [WheelPath; 2] {
 const HALF_SAMPLE_M: f64 = 0.005;
 
 impl Bogie {
-    fn new(pads: PadCase, mesh: Mesh) -> Self {
-        let track = reference::panel(pads, mesh);
+    fn new(track: &Track) -> Self {
         // Practically no band limit: the published script has none.
         let sampling = GreensSampling { rate_hz: RATE_HZ, len: 4096, band_hz: [2400.0, 2500.0] };
         let greens = GreensFunctions::new(
-            &track,
-            &reference::ballast(&track),
+            track,
+            &reference::ballast(track),
             sampling,
             Quantity::Displacement,
             &Chain::Corrected,
@@ -115,8 +114,8 @@ impl Bogie {
 
     /// Window · (force within ±`half_m` of the sensor, the same for both wheels).
     fn model(&self, half_m: f64, window: std::ops::Range<usize>) -> DisplacementModel {
-        let [front, rear] = paths()
-            .map(|path| kernel(&self.greens, Side::Crossing, &path, half_m + HALF_SAMPLE_M, SAMPLES));
+        let [front, rear] =
+            paths().map(|path| kernel(&self.greens, Side::Crossing, &path, half_m + HALF_SAMPLE_M, SAMPLES));
         let first = 1080 - (100.0 * half_m).round() as usize;
         let n = front.ncols();
         DisplacementModel {
@@ -190,7 +189,9 @@ pub fn all(progress: &dyn Progress) -> Result<(Vec<Case>, Table), VerifyError> {
     let mut cases = Vec::new();
     for (pads, file) in FILES {
         let passages = read(file)?;
-        let (paper, fine) = (Bogie::new(pads, Mesh::default()), Bogie::new(pads, FINE));
+        let (mut plain, fine) = (reference::panel(pads, Mesh::default()), reference::panel(pads, FINE));
+        plain.rail_halvings = 0;
+        let (paper, fine) = (Bogie::new(&plain), Bogie::new(&fine));
         for noise in NOISE {
             let noisy = with_noise(&passages, noise);
             let mut results = rules(&paper, &noisy, &passages)?;
@@ -216,10 +217,18 @@ pub fn all(progress: &dyn Progress) -> Result<(Vec<Case>, Table), VerifyError> {
         ),
         &[
             "method",
-            "soft 0 %: peak", "waveform", "p95",
-            "soft 1 %: peak", "waveform", "p95",
-            "stiff 0 %: peak", "waveform", "p95",
-            "stiff 1 %: peak", "waveform", "p95",
+            "soft 0 %: peak",
+            "waveform",
+            "p95",
+            "soft 1 %: peak",
+            "waveform",
+            "p95",
+            "stiff 0 %: peak",
+            "waveform",
+            "p95",
+            "stiff 1 %: peak",
+            "waveform",
+            "p95",
         ],
     );
     table.rows = rows;
@@ -272,15 +281,10 @@ fn rules(
     Ok(out)
 }
 
-fn evidence(
-    bogie: &Bogie,
-    noisy: &[Vec<f64>],
-    passages: &Passages,
-) -> Result<(Errors, Curves), VerifyError> {
+fn evidence(bogie: &Bogie, noisy: &[Vec<f64>], passages: &Passages) -> Result<(Errors, Curves), VerifyError> {
     let model = bogie.model(WIDE_HALF_M, WIDE_WINDOW);
     let windows: Vec<Vec<f64>> = noisy.iter().map(|d| bogie.window(&model, WIDE_WINDOW, d)).collect();
-    let position: Vec<f64> =
-        (0..model.kernel.ncols()).map(|i| 0.01 * i as f64 - WIDE_HALF_M).collect();
+    let position: Vec<f64> = (0..model.kernel.ncols()).map(|i| 0.01 * i as f64 - WIDE_HALF_M).collect();
     let report = REGION.start - WIDE_WINDOW.start..REGION.end - WIDE_WINDOW.start;
     let fit = fit_by_evidence(&model, &position, 0.0, &windows, report.clone())?;
     let mut errors = Errors::default();
@@ -289,7 +293,9 @@ fn evidence(
         let known = known_force(force, &REGION);
         errors.add(&known, &found.force_n);
         inside += (0..known.len())
-            .filter(|i| (known[*i] - found.force_n[*i]).abs() <= crate::kernel::HALF_WIDTH_90 * found.sd_n[*i])
+            .filter(|i| {
+                (known[*i] - found.force_n[*i]).abs() <= crate::kernel::HALF_WIDTH_90 * found.sd_n[*i]
+            })
             .count();
         all += known.len();
     }

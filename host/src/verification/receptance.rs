@@ -9,11 +9,7 @@ use crate::track::{Mesh, Side, Track};
 type File = (&'static str, &'static str);
 
 const T1: [(PadCase, File, File); 3] = [
-    (
-        SOFT,
-        reference!("T1_receptance_rolland_TSB_soft.csv"),
-        reference!("T1_receptance_fe_dx0.075_soft.csv"),
-    ),
+    (SOFT, reference!("T1_receptance_rolland_TSB_soft.csv"), reference!("T1_receptance_fe_dx0.075_soft.csv")),
     (MID, reference!("T1_receptance_rolland_TSB_mid.csv"), reference!("T1_receptance_fe_dx0.075_mid.csv")),
     (
         STIFF,
@@ -59,7 +55,6 @@ fn t1_against(
     let joined = |a: &[f64], b: &[f64], part: std::ops::Range<usize>| -> Vec<f64> {
         a[part.clone()].iter().chain(&b[part]).copied().collect()
     };
-    // Above 200 Hz the error of the 0.3 m mesh itself shows: 0.03-0.9 % at 250 Hz, depending on the pads.
     let case = |part: std::ops::Range<usize>, band: &str, tolerance: f64| {
         Case::new(&format!("T1 receptance, {}, {band}", pads.name), source, "m/N").worst(
             &joined(between, over, part.clone()),
@@ -85,7 +80,9 @@ pub fn panel() -> Result<Vec<Case>, VerifyError> {
         if known.len() != 13 {
             return Err(VerifyError::Reference { file: name, line: 1 });
         }
-        let track = reference::panel(pads, Mesh::default());
+        let mut track = reference::panel(pads, Mesh::default());
+        // The elements of the published script, so that nothing but the program differs.
+        track.rail_halvings = 0;
         let found = panel_receptances(&track, &known[0]);
         let labels = [
             "crossing rail, over the sensor",

@@ -2,7 +2,8 @@
 
 use super::VerifyError;
 use crate::recording::{
-    Ballast, Crossing, Design, Pad, Rail, Sensor, Sleeper as SleeperSite, TrackLayout, TrafficDirection, Vehicle,
+    Ballast, Crossing, Design, Pad, Rail, Sensor, Sleeper as SleeperSite, TrackLayout, TrafficDirection,
+    Vehicle,
 };
 use crate::section::BeamSection;
 use crate::track::{Kelvin, Mesh, Sleeper, Track};
@@ -105,8 +106,7 @@ pub fn continuous(section: BeamSection, per_metre: crate::closed_form::TwoLayer,
     track.crossing_rail = section;
     track.pad =
         Kelvin { stiffness: per_metre.pad_n_m2 * spacing_m, damping: per_metre.pad_ns_m2 * spacing_m };
-    track.sleeper =
-        Sleeper::RigidHalves { mass_kg: per_metre.sleeper_kg_m * spacing_m, length_m: spacing_m };
+    track.sleeper = Sleeper::RigidHalves { mass_kg: per_metre.sleeper_kg_m * spacing_m, length_m: spacing_m };
     track.ballast_damping_ns_m2 = per_metre.ballast_ns_m2;
     track
 }
@@ -197,8 +197,11 @@ pub fn columns(file: &'static str, text: &str) -> Result<Vec<Vec<f64>>, VerifyEr
     let lines = text.lines().enumerate().filter(|(_, l)| !l.starts_with('#') && !l.trim().is_empty());
     for (line, row) in lines.skip(1) {
         let bad = || VerifyError::Reference { file, line: line + 1 };
-        let values =
-            row.split(',').map(|v| v.trim().parse::<f64>()).collect::<Result<Vec<_>, _>>().map_err(|_| bad())?;
+        let values = row
+            .split(',')
+            .map(|v| v.trim().parse::<f64>())
+            .collect::<Result<Vec<_>, _>>()
+            .map_err(|_| bad())?;
         columns.resize(values.len().max(columns.len()), Vec::new());
         if columns.len() != values.len() {
             return Err(bad());

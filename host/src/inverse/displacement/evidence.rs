@@ -218,9 +218,8 @@ pub fn fit_by_evidence(
         move |i, j| low_pass[(report.start + i, j)]
     });
     let shape = rows * &root * &spectrum.v;
-    let forces = (0..windows_m.len())
-        .map(|j| posterior(&spectrum, j, &data, &shape, model.static_force_n))
-        .collect();
+    let forces =
+        (0..windows_m.len()).map(|j| posterior(&spectrum, j, &data, &shape, model.static_force_n)).collect();
     Ok(EvidenceFit { prior, tried, forces })
 }
 
@@ -293,9 +292,8 @@ mod tests {
         assert!((0.1..=0.16).contains(&fit.prior.correlation_m), "{:?}", fit.prior);
         let (mut inside, mut ratio) = (0, 0.0);
         for (draw, found) in draws.iter().zip(&fit.forces) {
-            inside += (15..45)
-                .filter(|i| (found.force_n[*i] - draw.0[*i]).abs() < 1.645 * found.sd_n[*i])
-                .count();
+            inside +=
+                (15..45).filter(|i| (found.force_n[*i] - draw.0[*i]).abs() < 1.645 * found.sd_n[*i]).count();
             ratio += found.noise_m / noise / 40.0;
         }
         let coverage = inside as f64 / (40 * 30) as f64;

@@ -147,7 +147,9 @@ impl<'a> RuleSolver<'a> {
             window_m[i] - if rule == Rule::Pinv { 0.0 } else { self.static_window[i] }
         });
         let (deviation, parameter, at_limit) = match rule {
-            Rule::Pinv | Rule::PinvDeviation => self.least_residual(&window, self.model.static_force_n - base_n),
+            Rule::Pinv | Rule::PinvDeviation => {
+                self.least_residual(&window, self.model.static_force_n - base_n)
+            }
             Rule::TruncatedGcv => self.truncated(&window),
             Rule::TikhonovGcv => self.tikhonov(&window),
         };

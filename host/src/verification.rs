@@ -14,7 +14,8 @@ pub use site::{SiteMethods, site_methods};
 use crate::inverse::displacement::DisplacementError;
 use crate::pipeline::PipelineError;
 use crate::progress::Progress;
-use crate::recording::RecordingError;
+use crate::recording::truth::Truth;
+use crate::recording::{RecordingError, Site};
 
 /// All checks in the order of the method.
 #[derive(Clone, Debug, Default)]
@@ -171,6 +172,17 @@ impl Verification {
         self.cases.extend(cases);
         self.tables.push(table);
     }
+}
+
+/// Scores the analysis and two chains of methods on a site with truth, and adds the result.
+pub fn add_site(
+    out: &mut Verification,
+    site: &Site,
+    truth: &Truth,
+    progress: &dyn Progress,
+) -> Result<(), VerifyError> {
+    out.add(site_methods(site, truth, progress)?.report());
+    Ok(())
 }
 
 /// Runs all checks that need no recordings.

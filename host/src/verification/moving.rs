@@ -96,7 +96,7 @@ fn sleeper_cases(
     ])
 }
 
-/// Rail under the force within 2 m of the middle: moving-response kernel.
+/// Rail under the force at the nodes within 2 m of the middle: moving-response kernel.
 fn rail_case(track: &Track, pads: PadCase, x: &[f64], under_load: &[f64]) -> Result<Case, VerifyError> {
     let rate_hz = 1000.0;
     // The kernel forgets after 0.15 s, 7.5 m: 10 m of approach are enough.
@@ -104,12 +104,15 @@ fn rail_case(track: &Track, pads: PadCase, x: &[f64], under_load: &[f64]) -> Res
     let position: Vec<f64> = (0..=240).map(|k| -9.9 + k as f64 * SPEED_M_S / rate_hz).collect();
     let deflection = rail.moving_deflection(&position, &vec![WHEEL_N; position.len()]);
     let spline = CubicSpline::new(&position, &deflection).ok_or(VerifyError::Empty("rail response"))?;
-    let near: Vec<usize> = (0..x.len()).filter(|i| x[*i].abs() <= 2.0).collect();
+    // Between its nodes every finite element beam is too stiff under the force, by up to P L/4S, 2 % here; at the nodes
+    // of both meshes, 0.3 m and 0.15 m, it is exact.
+    let off_node = |x: f64| (x - track.step_m * (x / track.step_m).round()).abs();
+    let near: Vec<usize> = (0..x.len()).filter(|i| x[*i].abs() <= 2.0 && off_node(x[*i]) < 0.006).collect();
     let x: Vec<f64> = near.iter().map(|i| x[*i]).collect();
     let expected: Vec<f64> = near.iter().map(|i| under_load[*i]).collect();
     let found: Vec<f64> = x.iter().map(|x| spline.at(*x)).collect();
     Ok(Case::new(
-        &format!("T1 moving force, {}, rail under the force, largest difference", pads.name),
+        &format!("T1 moving force, {}, rail under the force at nodes, largest difference", pads.name),
         SOURCE,
         "1",
     )

@@ -213,7 +213,9 @@ pub fn all(progress: &dyn Progress) -> Result<(Vec<Case>, Table), VerifyError> {
         "Force from the displacement of one sensor, 100 passages of a bogie",
         &format!(
             "Error of the force below 250 Hz within 1.2 m of the sensor in %: |peak| median, waveform (RMS over peak to peak) \
-             median and 95th percentile. Noise: white, 1 % of the largest displacement, 5 kHz, seed {SEED}."
+             median and 95th percentile. Noise: white, 1 % of the largest displacement, 5 kHz, seed {SEED}. The paper's rule without noise \
+             depends on details: its residual hardly tells the tolerances apart, and one sample more or less in the region turns 0.7 into 9 % \
+             or back."
         ),
         &[
             "method",
@@ -310,40 +312,47 @@ fn evidence(bogie: &Bogie, noisy: &[Vec<f64>], passages: &Passages) -> Result<(E
     Ok((errors, curves))
 }
 
-/// Medians of the published script for its pinv rule: [pads][noise], peak and waveform.
-const PUBLISHED_PINV: [[[f64; 2]; 2]; 2] =
-    [[[0.0057, 0.0872], [0.0135, 0.1108]], [[0.0055, 0.0984], [0.0091, 0.0911]]];
+/// Medians of the published script for the paper's rule at 1 % noise, per pads: waveform.
+const PUBLISHED_PINV: [f64; 2] = [0.1108, 0.0911];
 /// Allowed medians of the evidence estimate, per noise: peak and waveform.
 const ALLOWED: [[f64; 2]; 2] = [[0.003, 0.003], [0.009, 0.010]];
+/// Share of samples that may be missing from, or too many in, the 90 % interval: the noise is white as the model
+/// says, but the forces are no Gaussian process.
+const COVERAGE_TOLERANCE: f64 = 0.08;
 
 fn gates(pads: PadCase, noise: f64, results: &[(&'static str, Errors)], curves: Curves) -> Vec<Case> {
     let (p, n) = (usize::from(pads == STIFF), usize::from(noise > 0.0));
     let label = format!("{}, noise {:.0} %", pads.name, 100.0 * noise);
     let find = |name: &str| results.iter().find(|r| r.0 == name).map(|r| &r.1);
     let (Some(paper), Some(ours)) = (find(Rule::Pinv.name()), find(EVIDENCE)) else { return Vec::new() };
-    let published = PUBLISHED_PINV[p][n];
+    let source = "known force, median of 100 passages";
     let mut cases = vec![
-        // Another draw of the noise and shape functions instead of splines: the rule is sensitive to both.
-        Case::new(
-            &format!("force, paper's rule, waveform, {label}"),
-            "the same rule in numpy, median of 100 passages",
-            "1",
-        )
-        .values(published[1], quantile(&paper.waveform, 0.5), 0.2),
-        Case::new(&format!("force, evidence, peak, {label}"), "known force, median of 100 passages", "1")
+        Case::new(&format!("force by evidence, peak, {label}"), source, "1")
             .values(0.0, quantile(&ours.peak, 0.5), ALLOWED[n][0])
             .with(curves),
-        Case::new(&format!("force, evidence, waveform, {label}"), "known force, median of 100 passages", "1")
-            .values(0.0, quantile(&ours.waveform, 0.5), ALLOWED[n][1]),
+        Case::new(&format!("force by evidence, waveform, {label}"), source, "1").values(
+            0.0,
+            quantile(&ours.waveform, 0.5),
+            ALLOWED[n][1],
+        ),
     ];
+    // Without noise the paper's rule is a matter of luck (see the table's note) and nothing to compare with.
     if n == 1 {
         cases.push(
             Case::new(
-                &format!("force, evidence, samples inside the 90 % interval, {label}"),
+                &format!("force by the paper's rule, waveform, {label}"),
+                "the same rule in numpy",
+                "1",
+            )
+            .values(PUBLISHED_PINV[p], quantile(&paper.waveform, 0.5), 0.15),
+        );
+        cases.push(
+            Case::new(
+                &format!("force by evidence, share inside the 90 % interval, {label}"),
                 "known force",
                 "1",
             )
-            .values(0.9, ours.coverage, 0.08),
+            .values(0.9, ours.coverage, COVERAGE_TOLERANCE),
         );
     }
     cases

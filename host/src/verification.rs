@@ -174,14 +174,14 @@ impl Verification {
     }
 }
 
-/// Scores the analysis and two chains of methods on a site with truth, and adds the result.
+/// Scores the analysis and two chains of methods on a site with truth, and adds the table.
 pub fn add_site(
     out: &mut Verification,
     site: &Site,
     truth: &Truth,
     progress: &dyn Progress,
 ) -> Result<(), VerifyError> {
-    out.add(site_methods(site, truth, progress)?.report());
+    out.tables.push(site_methods(site, truth, progress)?.table());
     Ok(())
 }
 

@@ -1,4 +1,8 @@
 //! Helpers shared by the whole-system tests.
 
+pub mod elf;
+pub mod flaky_line;
 pub mod program;
 pub mod sample;
+pub mod synthetic_kernel;
+pub mod tolerance;

@@ -78,9 +78,10 @@ async fn sample(node: &'static Node<Nor>) {
     time::stop();
     let counters = node.live().counters;
     heprintln!(
-        "node: {} samples, {} lost; {} passages, {} lost; stack {} of {} bytes",
+        "node: {} samples, {} lost, FIFO up to {}; {} passages, {} lost; stack {} of {} bytes",
         counters.samples,
         counters.lost_samples,
+        counters.fifo_deepest,
         counters.passages,
         counters.lost_passages,
         stack::used(),

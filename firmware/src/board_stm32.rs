@@ -3,7 +3,7 @@
 //! | pins | part |
 //! |---|---|
 //! | PA5 SCK, PA6 MISO, PA7 MOSI, PA4 CS, PB0 INT1 | ADXL357 on SPI1 (8 MHz, DMA1 channels 2 and 3) |
-//! | PB13 SCK, PB14 MISO, PB15 MOSI, PB12 CS, PB10 HOLD, PB11 WP | W25Q64 NOR flash on SPI2 (16 MHz, DMA1 channels 4 and 5) |
+//! | PB13 SCK, PB14 MISO, PB15 MOSI, PB12 CS, PB10 HOLD, PB11 WP | W25Q128 NOR flash on SPI2 (16 MHz, DMA1 channels 4 and 5) |
 //! | PA2 TX, PA3 RX | USART2, 115200 baud 8N1: the link |
 //!
 //! Not run yet on hardware: it is built and linked only.

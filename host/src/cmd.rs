@@ -6,6 +6,7 @@ mod analyse;
 mod convert;
 mod demo;
 mod kernel;
+pub mod node;
 mod output;
 mod progress;
 mod verify;
@@ -35,6 +36,7 @@ enum Command {
     Demo(demo::DemoArgs),
     Analyse(analyse::AnalyseArgs),
     Kernel(kernel::KernelArgs),
+    Node(node::NodeArgs),
     Verify(verify::VerifyArgs),
     Convert(convert::ConvertArgs),
 }
@@ -46,6 +48,7 @@ pub fn main() -> ExitCode {
         Command::Demo(args) => args.run(),
         Command::Analyse(args) => args.run(),
         Command::Kernel(args) => args.run(),
+        Command::Node(args) => args.run(),
         Command::Verify(args) => args.run(),
         Command::Convert(args) => args.run(),
     };

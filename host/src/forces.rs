@@ -43,7 +43,8 @@ pub fn wheel_forces(site: &IdentifiedSite, index: usize) -> Result<Vec<WheelForc
             train_offset_m: &kind.offsets.train,
             static_force_n: passage.static_force_n,
         };
-        let estimator = Estimator::new(&site.greens, &geometry, &site.prior, &site.profile)?;
+        let estimator =
+            Estimator::new(&site.greens, &geometry, &site.prior, &site.interaction, &site.profile)?;
         let gains = estimator.gains(&position_m, LOW_PASS_HZ);
         for group in &kind.groups {
             let start =

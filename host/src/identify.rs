@@ -4,12 +4,13 @@ use crate::ballast::BallastParameters;
 use crate::ballast::evidence::{EvidenceFit, EvidenceProblem};
 use crate::ballast::quasi_static::{QuasiStatic, QuasiStaticFit};
 use crate::greens::{Chain, GreensFunctions, GreensSampling, Quantity};
+use crate::interaction::Interaction;
 use crate::inverse::hierarchy::{SiteModel, SitePassage, SitePosterior};
+use crate::inverse::hyper::refine;
 use crate::inverse::{CommonProfile, InverseError, Prior, ProfileGrids};
 use crate::progress::Progress;
 use crate::reconstruct::{Recording, SpeedSearch, Timing, estimate_speed};
 use crate::recording::Site;
-use crate::signal::mean;
 use crate::track::{Mesh, Track};
 use crate::vehicle::{AxlePattern, static_wheel_force_n};
 
@@ -54,7 +55,9 @@ pub struct IdentifiedSite<'s> {
     pub prior: Prior,
     /// Green's functions of the calibrated track.
     pub greens: GreensFunctions,
-    /// Force profile that all wheels share.
+    /// Wheel-track interaction of the calibrated track.
+    pub interaction: Interaction,
+    /// Irregularity that all wheels share.
     pub profile: CommonProfile,
     /// Ratio of the residuals to what the model allows, 1 for a perfect model: intervals are widened by it.
     pub misfit_ratio: f64,
@@ -62,6 +65,8 @@ pub struct IdentifiedSite<'s> {
 
 /// Passages used for the search over ballast; all are used for everything else.
 const CALIBRATION_PASSAGES: usize = 8;
+/// Passages used for the hyper-parameters at the full sampling.
+const HYPER_PASSAGES: usize = 3;
 /// Start of the quasi-static fit: nominal outer stiffness, somewhat less under the crossing.
 const NOMINAL: BallastParameters = BallastParameters { p1_n_m2: 30e6, p2_n_m2: 25e6, p3: 0.4 };
 /// Spacing of the common profile on the two rails, metres; half the shortest wavelength in the band at 45 m/s.
@@ -102,14 +107,14 @@ pub fn identify<'s>(site: &'s Site, progress: &dyn Progress) -> Result<Identifie
         })
         .collect();
     let prior = Prior::starting(direction);
-    let problem = EvidenceProblem {
+    let mut problem = EvidenceProblem {
         track: &track,
         direction,
         pattern: &pattern,
-        prior: prior.loose(),
-        mean_speed_m_s: mean(&speeds),
+        prior: prior.clone(),
+        vehicle: &crossing.vehicle,
     };
-    let ballast = calibrate(&problem, &quasi_static.parameters, &mut passages, progress)?;
+    let ballast = calibrate(&mut problem, &quasi_static.parameters, &mut passages, progress)?;
     let distribution = ballast.parameters.distribution(track.sleeper_x_m.len(), track.sensor_sleeper);
     let greens = GreensFunctions::new(
         &track,
@@ -118,7 +123,11 @@ pub fn identify<'s>(site: &'s Site, progress: &dyn Progress) -> Result<Identifie
         Quantity::Acceleration,
         &Chain::Corrected,
     );
-    let (prior, posterior) = common_profile(&greens, direction, &pattern, prior, &mut passages, progress)?;
+    let interaction =
+        Interaction::new(&track, &distribution, &crossing.vehicle, prior.half_m, GreensSampling::wide());
+    let prior = problem.prior.clone();
+    let (prior, posterior) =
+        common_profile(&greens, &interaction, direction, &pattern, prior, &mut passages, progress)?;
     let timings = passages.iter().map(|p| p.timing).collect();
     Ok(IdentifiedSite {
         site,
@@ -134,6 +143,7 @@ pub fn identify<'s>(site: &'s Site, progress: &dyn Progress) -> Result<Identifie
         direction,
         recordings,
         greens,
+        interaction,
     })
 }
 
@@ -162,12 +172,12 @@ fn realign(passages: &mut [SitePassage], posterior: &SitePosterior) {
 }
 
 fn calibrate(
-    problem: &EvidenceProblem,
+    problem: &mut EvidenceProblem,
     quasi_static: &BallastParameters,
     passages: &mut [SitePassage],
     progress: &dyn Progress,
 ) -> Result<EvidenceFit, IdentifyError> {
-    progress.begin("ballast by evidence", 3);
+    progress.begin("ballast by evidence", 4);
     // The quasi-static fit errs towards a soft centre (the dynamic force leaks into its band).
     let start = BallastParameters {
         p2_n_m2: (1.5 * quasi_static.p2_n_m2).max(0.3 * quasi_static.p1_n_m2),
@@ -181,6 +191,8 @@ fn calibrate(
     progress.step();
     let every = passages.len().div_ceil(CALIBRATION_PASSAGES).max(1);
     let some: Vec<SitePassage> = passages.iter().step_by(every).copied().collect();
+    problem.prior = problem.refined(&start, &some)?;
+    progress.step();
     let fit = problem.fit(&[start], &some)?;
     progress.step();
     for _ in 0..ALIGN_ROUNDS {
@@ -191,23 +203,20 @@ fn calibrate(
     Ok(fit)
 }
 
-/// Noise levels tried, m/s², and sizes of the wheels' own part relative to the starting prior.
-const NOISE_M_S2: [f64; 3] = [0.07, 0.1, 0.15];
-const OWN_SCALE: [f64; 3] = [0.7, 1.0, 1.6];
-
 fn common_profile(
     greens: &GreensFunctions,
+    interaction: &Interaction,
     direction: f64,
     pattern: &AxlePattern,
     start: Prior,
     passages: &mut [SitePassage],
     progress: &dyn Progress,
 ) -> Result<(Prior, SitePosterior), IdentifyError> {
-    let speeds: Vec<f64> = passages.iter().map(|p| p.timing.speed_m_s).collect();
-    let grids = ProfileGrids::new(start.half_m, PROFILE_STEP_M.0, PROFILE_STEP_M.1, mean(&speeds));
+    let grids = ProfileGrids::new(start.half_m, PROFILE_STEP_M.0, PROFILE_STEP_M.1);
     let posterior = |prior: &Prior, passages: &[SitePassage]| {
         SiteModel {
             greens,
+            interaction,
             direction,
             pattern,
             prior,
@@ -217,27 +226,11 @@ fn common_profile(
         }
         .posterior(passages)
     };
-    progress.begin("common force profile", (NOISE_M_S2.len() + OWN_SCALE.len() + ALIGN_ROUNDS) as u64);
-    let every = passages.len().div_ceil(4).max(1);
+    progress.begin("common irregularity", 1 + ALIGN_ROUNDS as u64);
+    let every = passages.len().div_ceil(HYPER_PASSAGES).max(1);
     let few: Vec<SitePassage> = passages.iter().step_by(every).copied().collect();
-    let mut prior = start.clone();
-    let mut best = f64::NEG_INFINITY;
-    for scale in OWN_SCALE {
-        let candidate = start.with_own_scaled(scale);
-        let evidence = posterior(&candidate, &few)?.log_evidence;
-        if evidence > best {
-            (best, prior) = (evidence, candidate);
-        }
-        progress.step();
-    }
-    for noise_m_s2 in NOISE_M_S2 {
-        let candidate = Prior { noise_m_s2, ..prior.clone() };
-        let evidence = posterior(&candidate, &few)?.log_evidence;
-        if evidence > best {
-            (best, prior) = (evidence, candidate);
-        }
-        progress.step();
-    }
+    let (prior, _) = refine(&start, &|candidate| Ok(posterior(candidate, &few)?.log_evidence))?;
+    progress.step();
     let mut found = posterior(&prior, passages)?;
     for _ in 1..ALIGN_ROUNDS {
         realign(passages, &found);

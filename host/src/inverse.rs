@@ -8,9 +8,10 @@
 pub mod displacement;
 mod estimator;
 pub mod hierarchy;
+pub mod hyper;
 mod prior;
 mod profile;
 
 pub use estimator::{Estimator, GroupGeometry, InverseError};
 pub use prior::{Prior, Spread};
-pub use profile::{CommonProfile, PositionGrid, ProfileGrids, WheelClass};
+pub use profile::{CommonProfile, PositionGrid, ProfileGrids};

@@ -1,5 +1,7 @@
 //! Crossing irregularity from the identified force: wheel path minus rail deflection (paper, section 5, eq. 13-16).
 
+use faer::Mat;
+
 use crate::forces::{LOW_PASS_HZ, WheelForce};
 use crate::greens::moving_response::RailGreens;
 use crate::recording::Vehicle;
@@ -26,10 +28,12 @@ pub fn irregularity(
     vehicle: &Vehicle,
     grid_m: &[f64],
 ) -> Vec<f64> {
-    let dt = 1.0 / rail.rate_hz;
+    let rate_hz = rail.sampling.rate_hz;
+    let dt = 1.0 / rate_hz;
     let mass = effective_wheel_mass_kg(vehicle);
     let deviation: Vec<f64> = force.force_n.iter().map(|f| f - static_force_n).collect();
-    let deflection = rail.moving_deflection(&force.position_m, &deviation);
+    let moved = &rail.kernel(&force.position_m) * Mat::from_fn(deviation.len(), 1, |j, _| deviation[j]);
+    let deflection: Vec<f64> = moved.col_as_slice(0).to_vec();
     let (mut velocity, mut path) = (0.0, 0.0);
     let raw: Vec<f64> = force
         .force_n
@@ -43,8 +47,7 @@ pub fn irregularity(
             path - rail - compression
         })
         .collect();
-    let banded =
-        brick_band(&without_cubic(&raw), rail.rate_hz, speed_m_s / LONGEST_WAVELENGTH_M, LOW_PASS_HZ);
+    let banded = brick_band(&without_cubic(&raw), rate_hz, speed_m_s / LONGEST_WAVELENGTH_M, LOW_PASS_HZ);
     on_grid(&force.position_m, &banded, grid_m)
 }
 

@@ -45,16 +45,16 @@ pub enum KernelError {
     Header(String),
 }
 
-/// Relative distance of neighbouring speed bins. The node blends two bins; at 2.5 % the blend is accurate to a few
+/// Relative distance of neighbouring speed bins. The node blends two bins; at 5 % the blend is accurate to a few
 /// per mille (`docs/method.md`).
-const BIN_STEP: f64 = 0.025;
+const BIN_STEP: f64 = 0.05;
 /// Bins reach this far beyond the slowest and the fastest recorded train.
 const BIN_MARGIN: f64 = 0.03;
 /// Step of the force grid, metres.
-const GRID_STEP_M: f64 = 0.02;
+const GRID_STEP_M: f64 = 0.025;
 /// Singular directions of the operator that change no force by more than this (one standard deviation) are left out,
 /// newtons: a thousandth of a usual peak.
-const TRUNCATION_N: f64 = 100.0;
+const TRUNCATION_N: f64 = 150.0;
 /// 90 % of a normal distribution lie within this many standard deviations.
 pub const HALF_WIDTH_90: f64 = 1.6449;
 
@@ -152,7 +152,7 @@ fn operator(
         train_offset_m: &kind.offsets.train,
         static_force_n: site.static_force_n[0],
     };
-    let estimator = Estimator::new(greens, &geometry, &site.prior, &site.profile)?;
+    let estimator = Estimator::new(greens, &geometry, &site.prior, &site.interaction, &site.profile)?;
     let gains = estimator.gains(grid_m, LOW_PASS_HZ);
     let (g, n) = (grid_m.len(), estimator.len());
     let gain = Mat::from_fn(gains.len() * g, n, |i, k| gains[i / g].gain[(i % g, k)]);

@@ -110,13 +110,13 @@ fn distribution(identified: &IdentifiedSite) -> Vec<f64> {
 }
 
 fn rail_greens(identified: &IdentifiedSite) -> RailGreens {
-    let rate = identified.greens.sampling.rate_hz;
+    let sampling = identified.greens.sampling;
     RailGreens::new(
         &identified.track,
         &distribution(identified),
         Side::Crossing,
         identified.prior.half_m,
-        rate,
+        sampling,
     )
 }
 

@@ -217,6 +217,21 @@ impl Track {
             .collect()
     }
 
+    /// Static deflection of both rails at a node under unit forces on both rails there, m/N: `[crossing, stock]`.
+    pub fn static_deflection_under_axle(&self, ballast_n_m2: &[f64], nodes: &[usize]) -> Vec<[f64; 2]> {
+        let system = self.system(0.0, ballast_n_m2);
+        nodes
+            .iter()
+            .map(|node| {
+                let mut x = vec![[ZERO; 4]; self.node_x_m.len()];
+                x[*node][0] = c64::new(1.0, 0.0);
+                x[*node][2] = c64::new(1.0, 0.0);
+                system.factor.solve(&mut x);
+                [x[*node][0].re, x[*node][2].re]
+            })
+            .collect()
+    }
+
     /// Receptance at the sensor itself (force and displacement there), m/N.
     pub fn sensor_point_receptance(&self, frequency_hz: &[f64], ballast_n_m2: &[f64]) -> Vec<c64> {
         let seat = self.seat_node(self.sensor_sleeper);

@@ -37,6 +37,7 @@ impl Acquisition {
                 self.live.counters.lost_samples.saturating_add(u64::from(batch.lost));
             self.note(&mut events, |sampler| sampler.lost(batch.lost, free.as_deref_mut()));
         }
+        self.live.counters.fifo_deepest = self.live.counters.fifo_deepest.max(batch.codes.len() as u16);
         for &code in &batch.codes {
             if let Some(level) = self.level.add(code) {
                 (self.live.mean_m_s2, self.live.rms_m_s2, self.live.peak_m_s2) = level;

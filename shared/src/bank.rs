@@ -14,15 +14,19 @@
 //!
 //! How far an upload is, is kept in RAM: it survives a broken line, not a restart.
 
+mod outcome;
+
 use core::ops::Range;
 
 use embedded_storage_async::nor_flash::NorFlash;
 use heapless::String;
 
 use crate::checksum::Running;
-use crate::package::check::{PackageError, header_len};
+use crate::package::check::header_len;
 use crate::package::{Header, MAX_HEADER_LEN, PREFIX_LEN};
 use crate::slots::{Slots, VALUE};
+
+pub use outcome::{Progress, Refusal};
 
 /// Where markers and banks are in the flash. Banks begin and end at sectors.
 #[derive(Clone, Debug)]
@@ -79,75 +83,6 @@ pub struct Found {
 
 /// Bytes for prefix and header.
 pub const SCRATCH: usize = PREFIX_LEN + MAX_HEADER_LEN;
-
-/// How far an upload is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
-pub struct Progress {
-    /// Bytes stored, without gap from the beginning.
-    pub received: u32,
-    /// Length of the whole package, bytes.
-    pub length: u32,
-    /// CRC-32 of the whole package, as announced.
-    pub crc: u32,
-}
-
-/// Why an upload or a read is refused; the package in force stays.
-#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
-pub enum Refusal {
-    /// The package is longer than a bank.
-    TooLong {
-        /// Announced, bytes.
-        length: u32,
-        /// Length of a bank, bytes.
-        max: u32,
-    },
-    /// No package is in force.
-    NoPackage,
-    /// No upload has begun, or it was given up, or the node has restarted since.
-    NotBegun,
-    /// The chunk does not follow what was received.
-    Gap {
-        /// Offset of the chunk, bytes.
-        offset: u32,
-        /// Offset that was expected, bytes.
-        received: u32,
-    },
-    /// The chunk reaches beyond the announced length.
-    Overrun {
-        /// End of the chunk, bytes.
-        end: u32,
-        /// Announced length, bytes.
-        length: u32,
-    },
-    /// Commit before everything was received.
-    Incomplete {
-        /// Received, bytes.
-        received: u32,
-        /// Announced length, bytes.
-        length: u32,
-    },
-    /// What is in flash is not what was announced.
-    Crc {
-        /// CRC-32 announced.
-        announced: u32,
-        /// CRC-32 of what is in flash.
-        found: u32,
-    },
-    /// The header is not one that this node can use.
-    Header(PackageError),
-    /// Prefix, header and payload together are not as long as the package.
-    Length {
-        /// Of the package, bytes.
-        package: u32,
-        /// Of its parts as the header tells, bytes.
-        parts: u64,
-    },
-    /// The flash failed at this offset from the start of the bank.
-    Flash {
-        /// Bytes.
-        offset: u32,
-    },
-}
 
 /// The banks; the flash itself is passed to each call, because others use it too.
 #[derive(Clone, Debug)]
@@ -406,7 +341,7 @@ pub(crate) mod tests {
     use super::*;
     use crate::checksum::crc32;
     use crate::nor_mock::{Nor, SECTOR};
-    use crate::package::check::SensorField;
+    use crate::package::check::{PackageError, SensorField};
     use crate::package::{Bin, Block, FORMAT, Group, Operator, Provenance, Sensor, Train};
     use crate::sample::{FULL_SCALE_CODE, M_S2_PER_CODE};
     use embassy_futures::block_on;
@@ -414,17 +349,20 @@ pub(crate) mod tests {
 
     const CHUNK: usize = 100;
 
-    /// A small header: one bin, one operator, two axles; `payload` bytes of matrices.
-    pub(crate) fn header(site: &str) -> Header {
+    fn operator() -> Operator {
         let block = |offset, rows, cols| Block { offset, rows, cols, crc: 0 };
-        let operator = Operator {
+        Operator {
             before: 2,
             project: block(0, 2, 8),
             expand: block(64, 6, 2),
             offset_n: block(112, 6, 1),
             half_width_n: block(136, 6, 1),
             template_m_s2: block(160, 1, 8),
-        };
+        }
+    }
+
+    /// A small header: one bin, one operator, two axles; `payload` bytes of matrices.
+    pub(crate) fn header(site: &str) -> Header {
         Header {
             format: FORMAT,
             provenance: Provenance {
@@ -451,7 +389,7 @@ pub(crate) mod tests {
             grid_len: 3,
             bins: heapless::Vec::from_slice(&[Bin {
                 speed_m_s: 40.0,
-                operators: heapless::Vec::from_slice(&[operator]).unwrap(),
+                operators: heapless::Vec::from_slice(&[operator()]).unwrap(),
             }])
             .unwrap(),
             payload_len: 192,

@@ -2,14 +2,16 @@
 //!
 //! ```text
 //! offset       length    content (integers little-endian)
-//! 0            8 MiB     NOR flash of the node (see [`crate::storage::Map::node`]); blank is 0xFF
-//! 0x80_0000    8         magic "CPCMSAMP"; anything else: no samples, and the flash is blanked first
-//! 0x80_0008    4         number of samples
-//! 0x80_000C    4         flags: bit 0 = end the simulation when all passages are evaluated
-//! 0x80_0010    4 each    samples: vertical sensor code, i32
+//! 0            12 MiB    NOR flash of the node (see [`crate::storage::Map::node`]); blank is 0xFF
+//! 0xC0_0000    8         magic "CPCMSAMP"; anything else: no samples, and the flash is blanked first
+//! 0xC0_0008    4         number of samples
+//! 0xC0_000C    4         flags: bit 0 = end the simulation when all passages are evaluated
+//! 0xC0_0010    3 each    samples: vertical sensor code, 24-bit two's complement
 //! ```
 //!
 //! The first sample is taken 250 µs after the sensor has been started.
+
+use crate::sample::SensorCode;
 
 /// Length of the image, bytes.
 pub const LEN: usize = 16 << 20;
@@ -19,10 +21,23 @@ pub const SAMPLES: usize = crate::storage::FLASH_LEN as usize;
 pub const MAGIC: [u8; 8] = *b"CPCMSAMP";
 /// Length of the sample header, bytes.
 pub const HEADER_LEN: usize = 16;
-/// Most samples: 8 min 44 s.
-pub const MAX_SAMPLES: usize = (LEN - SAMPLES - HEADER_LEN) / 4;
+/// Length of a sample, bytes.
+pub const SAMPLE_LEN: usize = 3;
+/// Most samples: 5 min 49 s.
+pub const MAX_SAMPLES: usize = (LEN - SAMPLES - HEADER_LEN) / SAMPLE_LEN;
 /// Flag: end the simulation when all passages are evaluated.
 pub const EXIT_WHEN_DONE: u32 = 1;
+
+/// A sample's bytes.
+pub fn encode_sample(code: SensorCode) -> [u8; SAMPLE_LEN] {
+    let [low, middle, high, _] = code.get().to_le_bytes();
+    [low, middle, high]
+}
+
+/// A sample from its bytes.
+pub fn decode_sample([low, middle, high]: [u8; SAMPLE_LEN]) -> SensorCode {
+    SensorCode::from_bits(u32::from_le_bytes([low, middle, high, 0]))
+}
 
 /// What is told before the samples.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -55,6 +70,13 @@ impl Header {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn property_sample_round_trip() {
+        for code in [SensorCode::MIN, SensorCode::MAX, SensorCode::new(-1), SensorCode::new(70_000)] {
+            assert_eq!(decode_sample(encode_sample(code)), code);
+        }
+    }
 
     #[test]
     fn property_header_round_trip() {

@@ -226,6 +226,8 @@ pub struct Counters {
     pub storage_errors: u32,
     /// Frames dropped as damaged.
     pub link_errors: u32,
+    /// Most samples found in the sensor's FIFO at one visit; it holds 32, and at 8 it calls.
+    pub fifo_deepest: u16,
 }
 
 /// A part of the list of records.

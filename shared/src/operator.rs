@@ -4,8 +4,7 @@
 //! block was. Each row is summed from left to right, however the rows are grouped, so the bits of the result
 //! depend on nothing but the numbers.
 
-use crc::{CRC_32_ISO_HDLC, Crc};
-
+use crate::checksum::{Running, crc32};
 use crate::pace::Pace;
 use crate::package::{Block, MAX_WINDOW};
 
@@ -15,8 +14,6 @@ pub const CHUNK_LEN: usize = 4 * MAX_WINDOW;
 const CRC_WORK: usize = 2;
 /// Bytes that go through the CRC between two chances to yield.
 const CRC_PIECE: usize = 512;
-
-static CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
 
 /// Access to the payload of a kernel package.
 #[allow(async_fn_in_trait, reason = "one executor, one thread: nobody needs the future to be Send")]
@@ -126,7 +123,7 @@ impl<K: KernelRead> Blocks<'_, K> {
         if together == 0 {
             return Err(BlockError::Shape { cols: block.cols, len: self.chunk.len() / 4 });
         }
-        let mut digest = CRC.digest();
+        let mut digest = Running::new();
         let mut row = 0;
         while row < usize::from(block.rows) {
             let count = together.min(usize::from(block.rows) - row);
@@ -141,7 +138,7 @@ impl<K: KernelRead> Blocks<'_, K> {
             pace.spend(chunk.len() / 2).await;
             row += count;
         }
-        let (expected, found) = (block.crc, digest.finalize());
+        let (expected, found) = (block.crc, digest.finish());
         if found == expected {
             Ok(())
         } else {
@@ -189,7 +186,7 @@ fn row_times(row: &[u8], x: &[f32]) -> f32 {
 
 /// CRC of a block's bytes, as the header holds it.
 pub fn block_crc(bytes: &[u8]) -> u32 {
-    CRC.checksum(bytes)
+    crc32(bytes)
 }
 
 #[cfg(test)]

@@ -25,8 +25,8 @@ pub struct Map {
     pub banks: Regions,
 }
 
-/// Size of the node's flash: 64 Mbit.
-pub const FLASH_LEN: u32 = 8 << 20;
+/// What the node uses of its flash of 128 Mbit, bytes. The rest is free, and QEMU's memory has no room for it.
+pub const FLASH_LEN: u32 = 12 << 20;
 
 impl Map {
     /// The node's map:
@@ -35,8 +35,8 @@ impl Map {
     /// 0x00_0000   32 KiB     clock
     /// 0x00_8000   32 KiB     marker of the kernel banks
     /// 0x01_0000   1984 KiB   journal, 62 segments: about 3600 records of 24 wheelsets
-    /// 0x20_0000   3 MiB      kernel bank 0
-    /// 0x50_0000   3 MiB      kernel bank 1
+    /// 0x20_0000   5 MiB      kernel bank 0
+    /// 0x70_0000   5 MiB      kernel bank 1
     /// ```
     pub const fn node() -> Self {
         Map {
@@ -45,7 +45,7 @@ impl Map {
             segment: SEGMENT,
             banks: Regions {
                 marker: 0x00_8000..0x01_0000,
-                banks: [0x20_0000..0x50_0000, 0x50_0000..FLASH_LEN],
+                banks: [0x20_0000..0x70_0000, 0x70_0000..FLASH_LEN],
             },
         }
     }

@@ -5,7 +5,7 @@ use core::convert::Infallible;
 
 use cpcm_shared::adxl357::model::{Model, Source};
 use cpcm_shared::adxl357::{SAMPLE_PERIOD_US, WATERMARK_SAMPLES};
-use cpcm_shared::image::{HEADER_LEN, Header, SAMPLES};
+use cpcm_shared::image::{HEADER_LEN, Header, SAMPLE_LEN, SAMPLES, decode_sample};
 use cpcm_shared::sample::SensorCode;
 use embassy_time::{Instant, Timer};
 use embedded_hal_async::spi::{ErrorType, Operation, SpiDevice};
@@ -34,10 +34,14 @@ impl Source for Samples {
         if self.next == self.count {
             return None;
         }
-        let address = PSRAM + SAMPLES + HEADER_LEN + 4 * self.next;
+        let mut bytes = [0; SAMPLE_LEN];
+        let address = PSRAM + SAMPLES + HEADER_LEN + SAMPLE_LEN * self.next;
         self.next += 1;
-        // SAFETY: the sample part of the PSRAM; the header's count fits in it. Aligned, as all its terms are.
-        Some(SensorCode::new(unsafe { core::ptr::read_volatile(address as *const i32) }))
+        for (address, byte) in (address..).zip(&mut bytes) {
+            // SAFETY: the sample part of the PSRAM, which is only read; the header's count fits in it.
+            *byte = unsafe { core::ptr::read_volatile(address as *const u8) };
+        }
+        Some(decode_sample(bytes))
     }
 }
 

@@ -10,8 +10,11 @@ use faer::Mat;
 
 use super::BallastParameters;
 use crate::greens::{Chain, GreensFunctions, GreensSampling, Quantity};
+use crate::interaction::Interaction;
 use crate::inverse::hierarchy::{SiteModel, SitePassage, SitePosterior};
+use crate::inverse::hyper::refine;
 use crate::inverse::{InverseError, Prior, ProfileGrids};
+use crate::recording::Vehicle;
 use crate::track::Track;
 use crate::vehicle::AxlePattern;
 
@@ -25,12 +28,15 @@ pub struct EvidenceProblem<'a> {
     pub pattern: &'a AxlePattern,
     /// Prior of forces and noise at the identification's sampling.
     pub prior: Prior,
-    /// Mean speed of the site, m/s.
-    pub mean_speed_m_s: f64,
+    /// Vehicle.
+    pub vehicle: &'a Vehicle,
 }
 
 /// Prior of the shape p3: between linear and the limits of monotony, which are 0.25 and 0.75.
-const P3_PRIOR: (f64, f64) = (0.5, 0.15);
+const P3_PRIOR: (f64, f64) = (0.5, 0.1);
+/// Divisor of the log evidence. All wheels of a train meet the same rail at the same speed, so what the model lacks
+/// repeats in every one of them: a train of twelve wheelsets is one independent look, not twelve.
+const TEMPERATURE: f64 = 12.0;
 /// Prior of ln p1 and ln p2: within a factor of about three around 30 MN/m² (nominal ballast, paper Table 1).
 const STIFFNESS_PRIOR: (f64, f64) = (17.2, 1.0);
 /// Prior standard deviations of the position errors after the quasi-static alignment, metres: common to all passages,
@@ -60,29 +66,18 @@ impl EvidenceProblem<'_> {
         passages: &[SitePassage],
     ) -> Result<SitePosterior, InverseError> {
         let distribution = ballast.distribution(self.track.sleeper_x_m.len(), self.track.sensor_sleeper);
-        let sampling = GreensSampling::low();
-        let greens = GreensFunctions::new(
-            self.track,
-            &distribution,
-            sampling,
-            Quantity::Acceleration,
-            &Chain::Corrected,
-        );
-        let model = SiteModel {
-            greens: &greens,
-            direction: self.direction,
-            pattern: self.pattern,
-            prior: &self.prior,
-            grids: ProfileGrids::new(
-                self.prior.half_m,
-                PROFILE_STEP_M.0,
-                PROFILE_STEP_M.1,
-                self.mean_speed_m_s,
-            ),
-            common_shift_sd_m: SHIFT_SD_M.0,
-            passage_shift_sd_m: SHIFT_SD_M.1,
-        };
-        model.posterior(passages)
+        LowModel::new(self, &distribution).posterior(self, &self.prior, passages)
+    }
+
+    /// Prior whose hyper-parameters the evidence prefers at given ballast.
+    pub fn refined(
+        &self,
+        ballast: &BallastParameters,
+        passages: &[SitePassage],
+    ) -> Result<Prior, InverseError> {
+        let distribution = ballast.distribution(self.track.sleeper_x_m.len(), self.track.sensor_sleeper);
+        let model = LowModel::new(self, &distribution);
+        Ok(refine(&self.prior, &|prior| Ok(model.posterior(self, prior, passages)?.log_evidence))?.0)
     }
 
     /// Searches from several starts, because p2 and p3 trade against each other and local optima exist.
@@ -119,7 +114,7 @@ impl EvidenceProblem<'_> {
             .iter()
             .map(|(v, (mean, sd))| 0.5 * ((v - mean) / sd).powi(2))
             .sum::<f64>();
-        Ok(prior + outside - self.posterior(&from_vector(z), passages)?.log_evidence)
+        Ok(prior + outside - self.posterior(&from_vector(z), passages)?.log_evidence / TEMPERATURE)
     }
 
     /// Inverse Hessian of the cost by central differences (Laplace approximation of the posterior).
@@ -149,6 +144,48 @@ impl EvidenceProblem<'_> {
             }
         }
         Ok(positive_inverse(&hessian))
+    }
+}
+
+/// Track of given ballast at the low sampling.
+struct LowModel {
+    greens: GreensFunctions,
+    interaction: Interaction,
+}
+
+impl LowModel {
+    fn new(problem: &EvidenceProblem, distribution: &[f64]) -> Self {
+        let sampling = GreensSampling::low();
+        let (track, half_m) = (problem.track, problem.prior.half_m);
+        Self {
+            greens: GreensFunctions::new(
+                track,
+                distribution,
+                sampling,
+                Quantity::Acceleration,
+                &Chain::Corrected,
+            ),
+            interaction: Interaction::new(track, distribution, problem.vehicle, half_m, sampling),
+        }
+    }
+
+    fn posterior(
+        &self,
+        problem: &EvidenceProblem,
+        prior: &Prior,
+        passages: &[SitePassage],
+    ) -> Result<SitePosterior, InverseError> {
+        let model = SiteModel {
+            greens: &self.greens,
+            interaction: &self.interaction,
+            direction: problem.direction,
+            pattern: problem.pattern,
+            prior,
+            grids: ProfileGrids::new(prior.half_m, PROFILE_STEP_M.0, PROFILE_STEP_M.1),
+            common_shift_sd_m: SHIFT_SD_M.0,
+            passage_shift_sd_m: SHIFT_SD_M.1,
+        };
+        model.posterior(passages)
     }
 }
 

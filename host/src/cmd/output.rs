@@ -26,6 +26,11 @@ pub(super) fn warn_skipped(skipped: &[Skipped]) {
     }
 }
 
+/// One warning on standard error.
+pub(super) fn warn(what: &str) {
+    complain(&format!("warning: {what}\n"));
+}
+
 /// An error and its causes, outermost first.
 pub(super) fn print_error(error: &anyhow::Error) {
     let mut text = format!("error: {error}\n");

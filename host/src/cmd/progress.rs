@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use indicatif::{ProgressBar, ProgressStyle};
 
+use crate::node_client::Piece;
 use crate::progress::Progress;
 
 /// One bar at a time; a finished stage leaves no trace.
@@ -41,5 +42,37 @@ impl Progress for Bar {
 impl Drop for Bar {
     fn drop(&mut self) {
         self.current().finish_and_clear();
+    }
+}
+
+/// A transfer: bytes, rate and time left. Ends with the value.
+pub(super) struct BytesBar(ProgressBar);
+
+/// A bar for a transfer that has not begun.
+pub(super) fn bytes_bar(what: &'static str) -> BytesBar {
+    let template = "{msg:10} [{bar:32}] {bytes}/{total_bytes}  {bytes_per_sec}, {eta} left";
+    let style = ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
+    BytesBar(ProgressBar::new(0).with_style(style.progress_chars("=> ")).with_message(what))
+}
+
+impl BytesBar {
+    /// Listener for the transfer.
+    pub(super) fn on_piece(&self) -> impl FnMut(Piece) {
+        let mut begun = false;
+        move |piece| {
+            self.0.set_length(piece.total);
+            self.0.set_position(piece.done);
+            if !begun {
+                // What was across before must not count as speed.
+                self.0.reset_eta();
+                begun = true;
+            }
+        }
+    }
+}
+
+impl Drop for BytesBar {
+    fn drop(&mut self) {
+        self.0.finish_and_clear();
     }
 }

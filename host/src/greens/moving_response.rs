@@ -1,16 +1,18 @@
 //! Rail deflection under a moving force (GKFM-MR, eq. 13): impulse responses between rail nodes, interpolated to the
 //! path of the wheel.
 
-use faer::c64;
+use faer::{Mat, c64};
+use rayon::prelude::*;
 
-use crate::signal::{irfft, rfft_frequencies_hz, taper};
+use super::GreensSampling;
+use crate::signal::{irfft, taper};
 use crate::track::{Side, Track};
 
-/// Impulse responses between the rail nodes around the crossing.
+/// Impulse responses between the nodes of one rail around the crossing.
+#[derive(Clone, Debug)]
 pub struct RailGreens {
-    /// Rate of the time axis, Hz.
-    pub rate_hz: f64,
-    len: usize,
+    /// Sampling of the time axis.
+    pub sampling: GreensSampling,
     first_x_m: f64,
     step_m: f64,
     n_nodes: usize,
@@ -18,69 +20,75 @@ pub struct RailGreens {
     response: Vec<f64>,
 }
 
-/// Band of the responses, Hz: the force holds nothing above 250 Hz.
-const BAND_HZ: [f64; 2] = [300.0, 400.0];
-/// Length of the time axis, samples; half a second at 1 kHz.
-const LEN: usize = 512;
-/// Responses are dropped after this many samples: the deflection has decayed.
-const MEMORY: usize = 150;
-/// Samples kept before the impulse: the band limit spreads the sharp rise of the deflection under the load over a few
-/// milliseconds to both sides, and without the part before it the static deflection comes out 1-4 % too small.
-const LEAD: usize = 30;
+/// Acausal samples kept: a zero-phase band limit rings before the impulse.
+const LEAD: usize = 16;
+/// Responses are dropped after this time, seconds: the deflection has decayed.
+const MEMORY_S: f64 = 0.15;
 
 impl RailGreens {
     /// Responses of one rail within `half_m` of x = 0.
-    pub fn new(track: &Track, ballast_n_m2: &[f64], side: Side, half_m: f64, rate_hz: f64) -> Self {
-        let nodes: Vec<usize> =
-            (0..track.node_x_m.len()).filter(|i| track.node_x_m[*i].abs() <= half_m + track.step_m).collect();
-        let frequencies: Vec<f64> =
-            rfft_frequencies_hz(LEN, rate_hz).into_iter().filter(|f| *f < BAND_HZ[1]).collect();
+    pub fn new(
+        track: &Track,
+        ballast_n_m2: &[f64],
+        side: Side,
+        half_m: f64,
+        sampling: GreensSampling,
+    ) -> Self {
+        let nodes: Vec<usize> = (0..track.node_x_m.len())
+            .filter(|i| track.node_x_m[*i].abs() <= half_m + 1.01 * track.step_m)
+            .collect();
+        let frequencies = sampling.frequencies_hz();
         let receptance = track.rail_receptance(&frequencies, ballast_n_m2, side, &nodes, &nodes);
         let n = nodes.len();
-        let kept = LEAD + MEMORY;
-        let mut response = vec![0.0; kept * n * n];
-        let mut spectrum = vec![c64::new(0.0, 0.0); LEN / 2 + 1];
-        for loaded in 0..n {
-            for read in 0..=loaded {
+        let lags = LEAD + (MEMORY_S * sampling.rate_hz) as usize;
+        let pairs: Vec<(usize, usize)> = (0..n).flat_map(|i| (0..=i).map(move |j| (i, j))).collect();
+        let [pass, stop] = sampling.band_hz;
+        let series: Vec<Vec<f64>> = pairs
+            .par_iter()
+            .map(|(loaded, read)| {
+                let mut spectrum = vec![c64::new(0.0, 0.0); sampling.len / 2 + 1];
                 for (k, f) in frequencies.iter().enumerate() {
-                    spectrum[k] = receptance[k][loaded][read] * (taper(*f, BAND_HZ[0], BAND_HZ[1]) * rate_hz);
+                    spectrum[k] = receptance[k][*loaded][*read] * (taper(*f, pass, stop) * sampling.rate_hz);
                 }
-                let periodic = irfft(&spectrum, LEN);
-                for lag in 0..kept {
-                    let value = periodic[(lag + LEN - LEAD) % LEN];
-                    response[(lag * n + loaded) * n + read] = value;
-                    response[(lag * n + read) * n + loaded] = value;
-                }
+                let full = irfft(&spectrum, sampling.len);
+                (0..lags).map(|i| full[(i + sampling.len - LEAD) % sampling.len]).collect()
+            })
+            .collect();
+        let mut response = vec![0.0; lags * n * n];
+        for ((loaded, read), values) in pairs.iter().zip(series) {
+            for (lag, value) in values.into_iter().enumerate() {
+                response[(lag * n + loaded) * n + read] = value;
+                response[(lag * n + read) * n + loaded] = value;
             }
         }
         let first_x_m = nodes.first().map_or(0.0, |i| track.node_x_m[*i]);
-        Self { rate_hz, len: kept, first_x_m, step_m: track.step_m, n_nodes: n, response }
+        Self { sampling, first_x_m, step_m: track.step_m, n_nodes: n, response }
     }
 
-    /// Deflection at the wheel, metres, for a force (N) at its positions x, one per time step.
-    pub fn moving_deflection(&self, position_m: &[f64], force_n: &[f64]) -> Vec<f64> {
+    /// Kernel of the moving response: deflection at the wheel (m) per force (N) at the same positions x, one per time
+    /// step.
+    pub fn kernel(&self, position_m: &[f64]) -> Mat<f64> {
         let weights: Vec<Option<(usize, [f64; 4])>> = position_m.iter().map(|x| self.weights(*x)).collect();
         let n = self.n_nodes;
-        let dt = 1.0 / self.rate_hz;
-        (0..position_m.len())
-            .map(|k| {
-                let Some((read, wr)) = &weights[k] else { return 0.0 };
-                let mut sum = 0.0;
-                let last = (k + LEAD).min(position_m.len() - 1);
-                for j in (k + LEAD + 1).saturating_sub(self.len)..=last {
-                    let Some((loaded, wl)) = &weights[j] else { continue };
-                    let lag = k + LEAD - j;
-                    let at_lag = &self.response[lag * n * n..(lag + 1) * n * n];
-                    let mut g = 0.0;
-                    for (a, l) in wl.iter().enumerate() {
-                        let row = &at_lag[(loaded + a) * n + read..];
-                        g += l * (wr[0] * row[0] + wr[1] * row[1] + wr[2] * row[2] + wr[3] * row[3]);
-                    }
-                    sum += g * force_n[j];
-                }
-                sum * dt
-            })
-            .collect()
+        let lags = self.response.len() / (n * n);
+        let dt = 1.0 / self.sampling.rate_hz;
+        Mat::from_fn(position_m.len(), position_m.len(), |k, j| {
+            let lag = k + LEAD;
+            if lag < j || lag - j >= lags {
+                return 0.0;
+            }
+            let (Some((read, wr)), Some((loaded, wl))) = (&weights[k], &weights[j]) else { return 0.0 };
+            let at_lag = &self.response[(lag - j) * n * n..(lag - j + 1) * n * n];
+            let sum: f64 = wl
+                .iter()
+                .enumerate()
+                .map(|(a, l)| {
+                    let row = &at_lag[(loaded + a) * n + read..];
+                    l * (wr[0] * row[0] + wr[1] * row[1] + wr[2] * row[2] + wr[3] * row[3])
+                })
+                .sum();
+            sum * dt
+        })
     }
 
     /// Cubic Lagrange weights of the four nodes around `x_m`; `None` outside the nodes.

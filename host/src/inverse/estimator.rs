@@ -6,10 +6,14 @@ use faer::linalg::solvers::Solve as _;
 use faer::{Accum, Mat, MatRef, Par};
 
 use super::Prior;
-use super::profile::{CommonProfile, WheelClass};
+use super::profile::CommonProfile;
 use crate::greens::GreensFunctions;
 use crate::greens::moving::{WheelPath, constant_force_response, kernel};
+use crate::interaction::Interaction;
 use crate::track::Side;
+
+/// Time after the last wheel has left the reach during which its response is still used, seconds.
+const DECAY_S: f64 = 0.03;
 
 /// Why an estimator could not be built.
 #[derive(Debug, thiserror::Error, PartialEq)]
@@ -57,7 +61,7 @@ pub struct Estimator {
     factor: Llt<f64>,
     log_det_half: f64,
     axles: Vec<AxleModel>,
-    /// Window per newton of the common profile, window length × profile points.
+    /// Window per metre of the common irregularity, window length × profile points.
     profile_response: Mat<f64>,
 }
 
@@ -100,11 +104,13 @@ impl AxleGain {
 }
 
 impl Estimator {
-    /// Window extent for a group: the unknown part of all wheels, one metre before, and the decay after.
+    /// Window extent for a group: while any of its wheels is within the window reach, and the decay after. The forces
+    /// are unknown over a longer stretch than that, so that what the window holds is never blamed on too few of them.
     fn extent(geometry: &GroupGeometry, prior: &Prior, rate_hz: f64) -> (usize, usize) {
-        let before = ((prior.half_m + 1.0) / geometry.speed_m_s * rate_hz).ceil() as usize;
+        let reach_s = prior.window_m / geometry.speed_m_s;
+        let before = (reach_s * rate_hz).ceil() as usize;
         let last = geometry.axle_offset_m.last().copied().unwrap_or(0.0);
-        let after = ((last + prior.half_m + 0.5) / geometry.speed_m_s + 0.03) * rate_hz;
+        let after = (last / geometry.speed_m_s + reach_s + DECAY_S) * rate_hz;
         (before, before + after.ceil() as usize + 1)
     }
 
@@ -113,6 +119,7 @@ impl Estimator {
         greens: &GreensFunctions,
         geometry: &GroupGeometry,
         prior: &Prior,
+        interaction: &Interaction,
         mean: &CommonProfile,
     ) -> Result<Self, InverseError> {
         if !(geometry.speed_m_s.is_finite() && geometry.speed_m_s > 0.0) {
@@ -128,15 +135,11 @@ impl Estimator {
         };
         let mut covariance = noise_covariance(prior, len);
         let mut profile_response = Mat::zeros(len, mean.grids.len());
-        let context = Context { greens, static_force_n: geometry.static_force_n, prior, mean };
+        let context = Context { greens, interaction, static_force_n: geometry.static_force_n, prior, mean };
         let axles: Vec<AxleModel> = geometry
             .axle_offset_m
             .iter()
-            .enumerate()
-            .map(|(i, o)| {
-                let class = WheelClass::new(geometry.speed_m_s, mean.grids.mean_speed_m_s, i);
-                AxleModel::new(&context, path(*o), class, &mut covariance, &mut profile_response)
-            })
+            .map(|o| AxleModel::new(&context, path(*o), &mut covariance, &mut profile_response))
             .collect::<Option<_>>()
             .ok_or_else(bad)?;
         let expected_m_s2 = expected_window(greens, geometry, &path, &axles, len);
@@ -180,7 +183,7 @@ impl Estimator {
         self.log_det_half
     }
 
-    /// Response of the window to the common profile: window length × profile points, m/s² per newton.
+    /// Response of the window to the common profile: window length × profile points, m/s² per metre.
     pub fn profile_response(&self) -> MatRef<'_, f64> {
         self.profile_response.as_ref()
     }
@@ -226,6 +229,7 @@ impl Estimator {
 /// What all axles of a window have in common.
 struct Context<'a> {
     greens: &'a GreensFunctions,
+    interaction: &'a Interaction,
     static_force_n: f64,
     prior: &'a Prior,
     mean: &'a CommonProfile,
@@ -236,19 +240,19 @@ impl AxleModel {
     fn new(
         context: &Context,
         path: WheelPath,
-        class: WheelClass,
         covariance: &mut Mat<f64>,
         profile_response: &mut Mat<f64>,
     ) -> Option<Self> {
-        let Context { greens, static_force_n, prior, mean } = *context;
+        let Context { greens, interaction, static_force_n, prior, mean } = *context;
         let (rate, len) = (greens.sampling.rate_hz, covariance.nrows());
         let range = path.samples_within(prior.half_m, rate);
         let positions: Vec<f64> = range.clone().map(|j| path.x_m(j as f64 / rate)).collect();
         let step = 1.0 / (rate * prior.correlation_s);
-        let sd_n: Vec<f64> = positions.iter().map(|x| prior.crossing_sd_n(&prior.own, *x)).collect();
-        let root_n = prior.covariance_factor(&positions, &sd_n, step)?;
-        let stock_root_n =
-            prior.covariance_factor(&positions, &vec![prior.own.stock_n; positions.len()], step)?;
+        let own_root = |side: Side| {
+            let sd_n: Vec<f64> = positions.iter().map(|x| prior.own_sd_n(side, *x)).collect();
+            prior.covariance_factor(&positions, &sd_n, step)
+        };
+        let (root_n, stock_root_n) = (own_root(Side::Crossing)?, own_root(Side::Stock)?);
         let mut static_m_s2 = vec![0.0; len];
         for side in [Side::Crossing, Side::Stock] {
             for (s, r) in static_m_s2.iter_mut().zip(constant_force_response(greens, side, &path, len)) {
@@ -258,22 +262,26 @@ impl AxleModel {
         let mut expected_m_s2 = static_m_s2.clone();
         let mut add_side = |side: Side, root: &Mat<f64>| {
             let matrix = kernel(greens, side, &path, prior.half_m, len);
+            let follow = interaction.force_per_irregularity(side, &positions, static_force_n);
+            let deflection = interaction.static_deflection_m(side, &positions, static_force_n);
+            let excitation =
+                Mat::from_fn(positions.len(), 1, |j, _| deflection[j] + mean.at(side, positions[j]));
+            let mean_n = &follow * &excitation;
+            let response = &matrix * &follow;
             for (j, x) in positions.iter().enumerate() {
-                add_scaled(&mut expected_m_s2, matrix.col_as_slice(j), mean.at(side, *x, class));
-            }
-            for (j, x) in positions.iter().enumerate() {
-                for (entry, weight) in mean.grids.entries(side, *x, class) {
-                    add_scaled(profile_response.col_as_slice_mut(entry), matrix.col_as_slice(j), weight);
+                add_scaled(&mut expected_m_s2, matrix.col_as_slice(j), mean_n[(j, 0)]);
+                for (entry, weight) in mean.grids.entries(side, *x) {
+                    add_scaled(profile_response.col_as_slice_mut(entry), response.col_as_slice(j), weight);
                 }
             }
             let shaped = &matrix * root;
             add_square(covariance, &shaped);
-            shaped
+            (shaped, mean_n)
         };
-        let shaped = add_side(Side::Crossing, &root_n);
+        let (shaped, mean) = add_side(Side::Crossing, &root_n);
         add_side(Side::Stock, &stock_root_n);
         add_outer(covariance, &static_m_s2, prior.load_sd.powi(2));
-        let mean_n = positions.iter().map(|x| mean.at(Side::Crossing, *x, class)).collect();
+        let mean_n = (0..positions.len()).map(|j| mean[(j, 0)]).collect();
         Some(Self { path, first_sample: *range.start(), root_n, shaped, static_m_s2, expected_m_s2, mean_n })
     }
 

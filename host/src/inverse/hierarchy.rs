@@ -14,6 +14,7 @@ use rayon::prelude::*;
 
 use super::{CommonProfile, Estimator, GroupGeometry, InverseError, Prior, ProfileGrids};
 use crate::greens::GreensFunctions;
+use crate::interaction::Interaction;
 use crate::reconstruct::{Recording, Timing};
 use crate::vehicle::{AxleGroup, AxlePattern};
 
@@ -33,6 +34,8 @@ pub struct SitePassage<'a> {
 pub struct SiteModel<'a> {
     /// Green's functions of the calibrated track.
     pub greens: &'a GreensFunctions,
+    /// Wheel-track interaction of the calibrated track.
+    pub interaction: &'a Interaction,
     /// +1 facing, -1 trailing.
     pub direction: f64,
     /// Axle pattern of the trains.
@@ -53,7 +56,7 @@ pub struct SitePosterior {
     pub log_evidence: f64,
     /// Posterior mean of the common profile.
     pub profile: CommonProfile,
-    /// Posterior covariance of the profile, N², and of the common position error in the last row and column (m).
+    /// Posterior covariance of the profile, m², and of the common position error in the last row and column (m).
     pub covariance: Mat<f64>,
     /// Common position error X, metres: the wheels are at x = 0 later by X/v than assumed.
     pub common_shift_m: f64,
@@ -97,10 +100,6 @@ impl SiteModel<'_> {
         let profile_prior = self.grids.prior_covariance(self.prior);
         prior.submatrix_mut(0, 0, m - 1, m - 1).copy_from(&profile_prior);
         prior[(m - 1, m - 1)] = self.common_shift_sd_m.powi(2);
-        let largest = (0..m).map(|i| prior[(i, i)]).fold(0.0, f64::max);
-        for i in 0..m - 1 {
-            prior[(i, i)] += 1e-9 * largest;
-        }
         let mut information: Mat<f64> = Mat::zeros(m, m);
         let mut vector: Mat<f64> = Mat::zeros(m, 1);
         let mut log_evidence = 0.0;
@@ -140,7 +139,7 @@ impl SiteModel<'_> {
             log_evidence,
             profile: CommonProfile {
                 grids: self.grids.clone(),
-                deviation_n: (0..m - 1).map(|i| mean[(i, 0)]).collect(),
+                irregularity_m: (0..m - 1).map(|i| mean[(i, 0)]).collect(),
             },
             covariance,
             common_shift_m,
@@ -157,8 +156,13 @@ impl SiteModel<'_> {
         let mut log_likelihood = 0.0;
         let zero = CommonProfile::zero(self.grids.clone());
         for kind in kinds(self.pattern) {
-            let estimator =
-                Estimator::new(self.greens, &self.geometry(&kind.offsets, passage), self.prior, &zero)?;
+            let estimator = Estimator::new(
+                self.greens,
+                &self.geometry(&kind.offsets, passage),
+                self.prior,
+                self.interaction,
+                &zero,
+            )?;
             for group in &kind.groups {
                 let columns = self.columns(&estimator, passage, *group);
                 let whitened = estimator.whiten(&columns);

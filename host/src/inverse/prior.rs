@@ -3,17 +3,20 @@
 use faer::Mat;
 use faer::linalg::solvers::Solve as _;
 
+use crate::track::Side;
+
 /// Gaussian prior of the force deviations f − Q and of the noise.
 ///
-/// A deviation is the sum of a profile that all wheels of the site share (geometry of the crossing, roughness of both
-/// rails) and a part of each wheel's own (its profile, its path, its roundness).
+/// A deviation is the sum of what an irregularity that all wheels of the site share (geometry of the crossing, roughness
+/// of both rails) makes of it at the wheel's speed, and a part of each wheel's own (its profile, its path, its
+/// roundness).
 #[derive(Clone, Debug, PartialEq)]
 pub struct Prior {
     /// Transition region, x in metres.
     pub region_m: [f64; 2],
-    /// The profile that all wheels share.
+    /// Irregularity that all wheels share, metres.
     pub common: Spread,
-    /// Each wheel's own part.
+    /// Each wheel's own part of the force deviation, newtons.
     pub own: Spread,
     /// Length over which the standard deviations fall off outside the region (Gaussian), metres.
     pub edge_m: f64,
@@ -32,17 +35,19 @@ pub struct Prior {
     pub offset_sd_m_s2: f64,
     /// Deviations are unknown while the wheel is within this distance of x = 0, metres; static beyond.
     pub half_m: f64,
+    /// The window holds the response while a wheel is within this distance of x = 0, metres.
+    pub window_m: f64,
 }
 
-/// Standard deviations of a force deviation, newtons.
+/// Standard deviations along the track.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Spread {
     /// Crossing side, inside the transition region.
-    pub region_n: f64,
+    pub region: f64,
     /// Crossing side, outside.
-    pub outside_n: f64,
+    pub outside: f64,
     /// Stock side.
-    pub stock_n: f64,
+    pub stock: f64,
 }
 
 impl Prior {
@@ -51,47 +56,37 @@ impl Prior {
     pub fn starting(direction: f64) -> Self {
         Self {
             region_m: [-1.2 + 0.3 * direction, 1.2 + 0.3 * direction],
-            common: Spread { region_n: 25e3, outside_n: 6e3, stock_n: 6e3 },
-            own: Spread { region_n: 5e3, outside_n: 1e3, stock_n: 0.6e3 },
+            common: Spread { region: 0.6e-3, outside: 0.06e-3, stock: 0.12e-3 },
+            own: Spread { region: 4e3, outside: 0.7e3, stock: 0.3e3 },
             edge_m: 0.25,
             correlation_s: 2e-3,
-            correlation_m: 0.09,
-            slow_n: 1.5e3,
+            correlation_m: 0.15,
+            slow_n: 0.5e3,
             load_sd: 0.02,
-            noise_m_s2: 0.1,
+            noise_m_s2: 0.03,
             offset_sd_m_s2: 0.02,
-            half_m: 4.0,
+            half_m: 5.5,
+            window_m: 4.0,
         }
     }
 
-    /// The same, but hardly anything assumed of the shape of the deviations: every wheel stands for itself and slow
-    /// deviations are as free as fast ones. Used while the track model is still being calibrated, so that the prior
-    /// cannot take the place of the ballast.
-    pub fn loose(&self) -> Self {
-        Self {
-            common: Spread { region_n: 1e3, outside_n: 1e3, stock_n: 1e3 },
-            own: Spread { region_n: 32e3, outside_n: 6.7e3, stock_n: 6.7e3 },
-            slow_n: 20e3,
-            noise_m_s2: 0.06,
-            ..self.clone()
+    /// Standard deviation of a wheel's own force deviation at `x_m`, newtons.
+    pub fn own_sd_n(&self, side: Side, x_m: f64) -> f64 {
+        self.along(&self.own, side, x_m)
+    }
+
+    /// Standard deviation of the common irregularity at `x_m`, metres.
+    pub fn irregularity_sd_m(&self, side: Side, x_m: f64) -> f64 {
+        self.along(&self.common, side, x_m)
+    }
+
+    fn along(&self, spread: &Spread, side: Side, x_m: f64) -> f64 {
+        if side == Side::Stock {
+            return spread.stock;
         }
-    }
-
-    /// The same with the wheels' own part scaled.
-    pub fn with_own_scaled(&self, scale: f64) -> Self {
-        let own = Spread {
-            region_n: scale * self.own.region_n,
-            outside_n: scale * self.own.outside_n,
-            stock_n: scale * self.own.stock_n,
-        };
-        Self { own, ..self.clone() }
-    }
-
-    /// Standard deviation of a crossing-side deviation at `x_m`, newtons.
-    pub fn crossing_sd_n(&self, spread: &Spread, x_m: f64) -> f64 {
         let beyond = (self.region_m[0] - x_m).max(x_m - self.region_m[1]).max(0.0);
         let inside = (-0.5 * (beyond / self.edge_m).powi(2)).exp();
-        spread.outside_n + (spread.region_n - spread.outside_n) * inside
+        spread.outside + (spread.region - spread.outside) * inside
     }
 
     /// Covariance of a deviation with standard deviations `sd_n` at equidistant positions, N²: Matérn 5/2 with `step`
@@ -141,7 +136,7 @@ fn slow_amplitudes(positions_m: &[f64], span_m: f64) -> Mat<f64> {
 }
 
 /// Matérn-5/2 correlation at a distance of `lag` steps of `step` correlation lengths.
-fn matern_at(lag: usize, step: f64) -> f64 {
+pub fn matern_at(lag: usize, step: f64) -> f64 {
     let r = 5f64.sqrt() * lag as f64 * step;
     (1.0 + r + r * r / 3.0) * (-r).exp()
 }

@@ -22,6 +22,11 @@ impl CubicSpline {
         Some(Self { x: x.to_vec(), y: y.to_vec(), curvature: natural_curvature(x, y) })
     }
 
+    /// Zero everywhere.
+    pub fn zero() -> Self {
+        Self { x: vec![0.0, 1.0], y: vec![0.0; 2], curvature: vec![0.0; 2] }
+    }
+
     /// Value at `x`; the end cubics are continued linearly outside, so nothing explodes there.
     pub fn at(&self, x: f64) -> f64 {
         let last = self.x.len() - 1;

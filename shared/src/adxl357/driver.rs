@@ -81,6 +81,11 @@ impl<S: SpiDevice> Adxl357<S> {
         Ok(part)
     }
 
+    /// The bus, for whoever simulates it.
+    pub fn bus(&mut self) -> &mut S {
+        &mut self.spi
+    }
+
     /// Takes everything out of the FIFO into `batch`. `now_us`: the clock of [`Adxl357::start`], µs; it is used only
     /// after an overrun, where the part does not tell how many samples are gone (right to ±1 sample).
     pub async fn drain(&mut self, now_us: u64, batch: &mut Batch) -> Result<(), Error<S::Error>> {
@@ -179,7 +184,7 @@ mod tests {
 
     fn start_sequence() -> StdVec<Transaction<u8>> {
         let mut bus = read(0x01, &[0xAD, 0x1D, 0xED]).to_vec();
-        for (address, value) in [(0x2D, 1), (0x2C, 0xC3), (0x28, 0), (0x29, 48), (0x2A, 2), (0x2D, 2)] {
+        for (address, value) in [(0x2D, 1), (0x2C, 0xC3), (0x28, 0), (0x29, 24), (0x2A, 2), (0x2D, 2)] {
             bus.extend(write(&[address << 1, value]));
             bus.extend(read(address << 1 | 1, &[value]));
         }

@@ -1,6 +1,5 @@
 //! Decoding a package's header and refusing what does not fit this node, with the reason.
 
-use crc::{CRC_32_ISO_HDLC, Crc};
 use serde::{Deserialize, Serialize};
 
 use heapless::{String, Vec};
@@ -9,11 +8,10 @@ use super::{
     Bin, Block, FORMAT, Header, MAGIC, MAX_GRID, MAX_GROUP_AXLES, MAX_HEADER_LEN, MAX_RANK, MAX_WINDOW,
     Operator, PREFIX_LEN, Provenance, Sensor, Train,
 };
+use crate::checksum::{LEN as CRC_LEN, crc32};
 use crate::decimate::DECIMATION;
 use crate::sample::{FULL_SCALE_CODE, M_S2_PER_CODE, RAW_RATE_HZ};
 
-static CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
-const CRC_LEN: usize = 4;
 /// Sensor constants are the same when they agree to this relative precision: f32 rounding on both sides.
 const SAME: f32 = 1e-5;
 
@@ -188,7 +186,7 @@ fn checked_postcard(package: &[u8]) -> Result<(&[u8], u32), PackageError> {
     let short = PackageError::TooShort { needed, given: package.len() };
     let bytes = package.get(PREFIX_LEN..needed).ok_or(short)?;
     let (postcard, stored) = bytes.split_last_chunk::<CRC_LEN>().ok_or(short)?;
-    let (stored, computed) = (u32::from_le_bytes(*stored), CRC.checksum(postcard));
+    let (stored, computed) = (u32::from_le_bytes(*stored), crc32(postcard));
     if stored != computed {
         return Err(PackageError::HeaderCrc { stored, computed });
     }
@@ -266,7 +264,7 @@ impl Header {
         let (prefix, body) = out.split_at_mut_checked(PREFIX_LEN).ok_or(too_long)?;
         let used = postcard::to_slice(self, body).map_err(|_| too_long)?.len();
         let (postcard, rest) = body.split_at_mut_checked(used).ok_or(too_long)?;
-        let crc = CRC.checksum(postcard).to_le_bytes();
+        let crc = crc32(postcard).to_le_bytes();
         *rest.first_chunk_mut::<CRC_LEN>().ok_or(too_long)? = crc;
         let (magic, length) = prefix.split_at_mut(MAGIC.len());
         magic.copy_from_slice(&MAGIC);
@@ -575,7 +573,7 @@ mod tests {
             let mut package = MAGIC.to_vec();
             package.extend((bytes.len() as u32 + 4).to_le_bytes());
             package.extend(&bytes);
-            package.extend(CRC.checksum(&bytes).to_le_bytes());
+            package.extend(crc32(&bytes).to_le_bytes());
             let _ = Header::decode(&package);
         }
 
@@ -586,7 +584,7 @@ mod tests {
             if (PREFIX_LEN..end).contains(&at) {
                 bytes[at] = value;
             }
-            let crc = CRC.checksum(&bytes[PREFIX_LEN..end]).to_le_bytes();
+            let crc = crc32(&bytes[PREFIX_LEN..end]).to_le_bytes();
             bytes[end..].copy_from_slice(&crc);
             let _ = Header::decode(&bytes);
         }

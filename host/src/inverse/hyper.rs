@@ -1,0 +1,70 @@
+//! Hyper-parameters of the prior by evidence: one at a time, by factors of two and then of √2, until none helps.
+
+use super::{InverseError, Prior};
+
+/// A positive hyper-parameter with the range in which it is physical.
+struct Hyper {
+    get: fn(&mut Prior) -> &mut f64,
+    range: [f64; 2],
+}
+
+/// In the order in which they matter. Ranges: from nothing measurable to the size of the static force, the recorder's
+/// full noise, the depth of a broken crossing; the correlation time from one sample to a tenth of a bogie passage.
+const HYPERS: [Hyper; 9] = [
+    Hyper { get: |p| &mut p.noise_m_s2, range: [0.005, 1.0] },
+    Hyper { get: |p| &mut p.own.region, range: [200.0, 60e3] },
+    Hyper { get: |p| &mut p.own.outside, range: [50.0, 20e3] },
+    Hyper { get: |p| &mut p.slow_n, range: [50.0, 20e3] },
+    Hyper { get: |p| &mut p.common.region, range: [0.05e-3, 10e-3] },
+    Hyper { get: |p| &mut p.common.outside, range: [0.01e-3, 2e-3] },
+    Hyper { get: |p| &mut p.common.stock, range: [0.01e-3, 2e-3] },
+    Hyper { get: |p| &mut p.own.stock, range: [50.0, 20e3] },
+    Hyper { get: |p| &mut p.correlation_s, range: [0.7e-3, 5e-3] },
+];
+
+/// Steps taken, as factors.
+const FACTORS: [f64; 2] = [2.0, std::f64::consts::SQRT_2];
+
+/// Prior with the highest evidence found, and that evidence.
+pub fn refine(
+    start: &Prior,
+    evidence: &dyn Fn(&Prior) -> Result<f64, InverseError>,
+) -> Result<(Prior, f64), InverseError> {
+    let mut best = start.clone();
+    let mut highest = evidence(&best)?;
+    for factor in FACTORS {
+        for hyper in &HYPERS {
+            for step in [factor, 1.0 / factor] {
+                let moved = climb(hyper, step, &mut best, &mut highest, evidence);
+                if moved {
+                    break;
+                }
+            }
+        }
+    }
+    Ok((best, highest))
+}
+
+/// Repeats a step while it helps; tells whether it ever did.
+fn climb(
+    hyper: &Hyper,
+    step: f64,
+    best: &mut Prior,
+    highest: &mut f64,
+    evidence: &dyn Fn(&Prior) -> Result<f64, InverseError>,
+) -> bool {
+    let mut moved = false;
+    loop {
+        let mut candidate = best.clone();
+        let value = (hyper.get)(&mut candidate);
+        *value *= step;
+        if *value < hyper.range[0] || *value > hyper.range[1] {
+            return moved;
+        }
+        // A candidate whose covariance breaks down is simply no improvement.
+        match evidence(&candidate) {
+            Ok(found) if found > *highest => (*best, *highest, moved) = (candidate, found, true),
+            _ => return moved,
+        }
+    }
+}

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use cpcm::report::{self, verification};
-use cpcm::verification::{Case, Curves, Verification};
+use cpcm::verification::{Case, Curves, Table, Verification};
 use cpcm_tests::sample::sample_analysis;
 
 /// Also leaves the page in the target directory, for a look with a browser.
@@ -59,10 +59,17 @@ fn regress_verification_page_shows_failures() {
             found: (0..100).map(|i| found / (1.0 + f64::from(i))).collect(),
         }),
     };
-    let result = Verification { cases: vec![case("first", 1.001), case("second", 1.5)] };
+    let table = Table {
+        title: "A study".into(),
+        note: "What it shows & why.".into(),
+        columns: vec!["mesh, m".into(), "error".into()],
+        rows: vec![vec!["0.3".into(), "0.25 %".into()]],
+    };
+    let result = Verification { cases: vec![case("first", 1.001), case("second", 1.5)], tables: vec![table] };
     let page = verification::html(&result).unwrap();
     assert!(page.contains("1 of 2 checks failed"));
     assert_eq!(page.matches("<svg").count(), 2);
+    assert!(page.contains("shows &amp; why") && verification::table(&result).contains("0.3      0.25 %"));
     assert_eq!(verification::table(&result).matches("FAILED").count(), 1);
     assert!(verification::csv(&result).lines().nth(2).unwrap().ends_with(",0.5,0.01,false"));
     std::fs::write(Path::new(env!("CARGO_TARGET_TMPDIR")).join("verification.html"), &page).unwrap();

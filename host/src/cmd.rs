@@ -9,6 +9,7 @@ mod kernel;
 pub mod node;
 mod output;
 mod progress;
+mod verify;
 
 use std::process::ExitCode;
 
@@ -36,6 +37,7 @@ enum Command {
     Analyse(analyse::AnalyseArgs),
     Kernel(kernel::KernelArgs),
     Node(node::NodeArgs),
+    Verify(verify::VerifyArgs),
     Convert(convert::ConvertArgs),
 }
 
@@ -47,6 +49,7 @@ pub fn main() -> ExitCode {
         Command::Analyse(args) => args.run(),
         Command::Kernel(args) => args.run(),
         Command::Node(args) => args.run(),
+        Command::Verify(args) => args.run(),
         Command::Convert(args) => args.run(),
     };
     match result {

@@ -5,6 +5,7 @@
 //! forward model. Posterior mean and covariance are closed forms, and the mean is linear in the recording:
 //! f̂ = b + K a with fixed K, b and fixed interval widths. The same K is what the node applies.
 
+pub mod displacement;
 mod estimator;
 pub mod hierarchy;
 pub mod hyper;

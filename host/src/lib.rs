@@ -4,6 +4,7 @@ pub mod recording;
 pub mod signal;
 pub mod reconstruct;
 pub mod section;
+pub mod closed_form;
 pub mod beam;
 pub mod track;
 pub mod vehicle;

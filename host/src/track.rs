@@ -70,6 +70,9 @@ pub struct Track {
     pub crossing_rail: BeamSection,
     /// Extent of the crossing part, metres.
     pub crossing_part_m: [f64; 2],
+    /// How often a rail element is halved before it is condensed back to its two nodes, which takes the error of the
+    /// element's inertia down by 4 each time at no cost to speak of. 0 is the plain element.
+    pub rail_halvings: u32,
     /// Stiffness-proportional damping of the rails, s.
     pub rail_damping_s: f64,
     /// Rail pads, per seat, N/m and Ns/m.
@@ -124,6 +127,7 @@ impl Track {
             plain: BeamSection::plain_rail(&crossing.rail),
             crossing_rail: BeamSection::crossing_rail(&crossing.rail),
             crossing_part_m: [crossing.rail.crossing_part_x0_m, crossing.rail.crossing_part_x1_m],
+            rail_halvings: RAIL_HALVINGS,
             rail_damping_s: crossing.rail.damping_stiffness_proportional_s,
             pad: Kelvin { stiffness: crossing.pad.stiffness_n_m, damping: crossing.pad.damping_ns_m },
             sleeper: Sleeper::Beam(beam),
@@ -278,9 +282,12 @@ impl Track {
     fn rails(&self, omega: f64) -> (Vec<Block<4>>, Vec<Block<4>>) {
         let n = self.node_x_m.len();
         let dynamic = |section: &BeamSection| -> [[c64; 4]; 4] {
-            let (k, m) = (beam::stiffness(section, self.step_m), beam::mass(section, self.step_m));
+            let length_m = self.step_m / f64::from(1u32 << self.rail_halvings.min(16));
+            let (k, m) = (beam::stiffness(section, length_m), beam::mass(section, length_m));
             let elastic = c64::new(1.0, omega * self.rail_damping_s);
-            std::array::from_fn(|i| std::array::from_fn(|j| elastic * k[i][j] - omega * omega * m[i][j]))
+            let part =
+                std::array::from_fn(|i| std::array::from_fn(|j| elastic * k[i][j] - omega * omega * m[i][j]));
+            (0..self.rail_halvings.min(16)).fold(part, |part, _| joined(&part))
         };
         let (plain, crossing) = (dynamic(&self.plain), dynamic(&self.crossing_rail));
         let mut diagonal: Vec<Block<4>> = vec![[[ZERO; 4]; 4]; n];
@@ -312,6 +319,27 @@ impl Track {
         let sensor_free = c[2][2] - c[2][0] * sensor_load[0] - c[2][1] * sensor_load[1];
         CondensedSleeper { seat_stiffness, sensor_load, sensor_free }
     }
+}
+
+/// Without it, elements of 0.3 m are 0.2 % wrong at 200 Hz on soft pads; with two halvings 0.01 %.
+const RAIL_HALVINGS: u32 = 2;
+
+/// Two equal elements in a row, the node between them condensed: exact at the frequency of `part`.
+fn joined(part: &Block<4>) -> Block<4> {
+    let middle: Block<2> =
+        invert(std::array::from_fn(|i| std::array::from_fn(|j| part[i + 2][j + 2] + part[i][j])));
+    // Forces at the outer nodes per motion of the one between: left (rows 0, 1) and right (rows 2, 3).
+    let outer: [[c64; 2]; 4] =
+        std::array::from_fn(|i| std::array::from_fn(|j| if i < 2 { part[i][j + 2] } else { part[i][j] }));
+    std::array::from_fn(|i| {
+        std::array::from_fn(|j| {
+            let own = if i / 2 == j / 2 { part[i][j] } else { ZERO };
+            let through: c64 = (0..2)
+                .flat_map(|a| (0..2).map(move |b| (a, b)))
+                .fold(ZERO, |sum, (a, b)| sum + outer[i][a] * middle[a][b] * outer[j][b]);
+            own - through
+        })
+    })
 }
 
 #[derive(Clone, Copy)]

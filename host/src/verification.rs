@@ -1,10 +1,29 @@
 //! What `verify` checks: numbers and curves of the model against closed forms, other programs and the paper.
 
+mod closed;
+mod convergence;
+mod identities;
+mod moving;
+mod passages;
+mod receptance;
+pub mod reference;
+mod site;
+
+pub use site::{SiteMethods, site_methods};
+
+use crate::inverse::displacement::DisplacementError;
+use crate::pipeline::PipelineError;
+use crate::progress::Progress;
+use crate::recording::truth::Truth;
+use crate::recording::{RecordingError, Site};
+
 /// All checks in the order of the method.
 #[derive(Clone, Debug, Default)]
 pub struct Verification {
-    /// One per line of the table.
+    /// One per line of the table of checks.
     pub cases: Vec<Case>,
+    /// Studies and comparisons that need more than one number per line.
+    pub tables: Vec<Table>,
 }
 
 /// One check.
@@ -42,7 +61,84 @@ pub struct Curves {
     pub found: Vec<f64>,
 }
 
+/// A study: text cells, the first column is what the line is about.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Table {
+    /// Heading.
+    pub title: String,
+    /// What the numbers are and what follows from them.
+    pub note: String,
+    /// Captions.
+    pub columns: Vec<String>,
+    /// Lines, each with as many cells as there are columns.
+    pub rows: Vec<Vec<String>>,
+}
+
+/// Why the checks cannot be run.
+#[derive(Debug, thiserror::Error)]
+pub enum VerifyError {
+    /// A shipped curve does not read.
+    #[error("reference curve {file} is damaged in line {line}")]
+    Reference {
+        /// File in `tests/data/reference`.
+        file: &'static str,
+        /// Line, counted from 1; 0 for the whole file.
+        line: usize,
+    },
+    /// A shipped table of passages does not read.
+    #[error("reference passages {file} are damaged: {reason}")]
+    Passages {
+        /// File in `tests/data/reference`.
+        file: &'static str,
+        /// What the reader says.
+        reason: String,
+    },
+    /// A computation gave nothing to compare.
+    #[error("the {0} is empty")]
+    Empty(&'static str),
+    /// Force from displacement.
+    #[error(transparent)]
+    Displacement(#[from] DisplacementError),
+    /// Site or truth.
+    #[error(transparent)]
+    Recording(#[from] RecordingError),
+    /// Analysis of a site.
+    #[error(transparent)]
+    Pipeline(#[from] PipelineError),
+}
+
 impl Case {
+    /// A check whose values follow.
+    fn new(name: &str, source: &str, unit: &'static str) -> Self {
+        Self {
+            name: name.into(),
+            source: source.into(),
+            unit,
+            expected: f64::NAN,
+            found: f64::NAN,
+            tolerance: 0.0,
+            curves: None,
+        }
+    }
+
+    fn values(self, expected: f64, found: f64, tolerance: f64) -> Self {
+        Self { expected, found, tolerance, ..self }
+    }
+
+    /// The pair of values with the largest relative difference.
+    fn worst(self, expected: &[f64], found: &[f64], tolerance: f64) -> Self {
+        let error = |i: usize| (found[i] / expected[i] - 1.0).abs();
+        let worst = (0..expected.len().min(found.len())).max_by(|a, b| error(*a).total_cmp(&error(*b)));
+        match worst {
+            Some(i) => self.values(expected[i], found[i], tolerance),
+            None => self,
+        }
+    }
+
+    fn with(self, curves: Curves) -> Self {
+        Self { curves: Some(curves), ..self }
+    }
+
     /// Difference relative to the expected value; absolute where zero is expected.
     pub fn error(&self) -> f64 {
         let difference = self.found - self.expected;
@@ -55,11 +151,66 @@ impl Case {
     }
 }
 
+impl Table {
+    fn new(title: &str, note: &str, columns: &[&str]) -> Self {
+        let columns = columns.iter().map(|c| c.to_string()).collect();
+        Self { title: title.into(), note: note.into(), columns, rows: Vec::new() }
+    }
+
+    fn row(&mut self, cells: &[String]) {
+        self.rows.push(cells.to_vec());
+    }
+}
+
 impl Verification {
     /// Number of checks that failed.
     pub fn failures(&self) -> usize {
         self.cases.iter().filter(|c| !c.passed()).count()
     }
+
+    fn add(&mut self, (cases, table): (Vec<Case>, Table)) {
+        self.cases.extend(cases);
+        self.tables.push(table);
+    }
+}
+
+/// Scores the analysis and two chains of methods on a site with truth, and adds the table.
+pub fn add_site(
+    out: &mut Verification,
+    site: &Site,
+    truth: &Truth,
+    progress: &dyn Progress,
+) -> Result<(), VerifyError> {
+    out.tables.push(site_methods(site, truth, progress)?.table());
+    Ok(())
+}
+
+/// Runs all checks that need no recordings.
+pub fn run(progress: &dyn Progress) -> Result<Verification, VerifyError> {
+    let mut out = Verification::default();
+    progress.begin("closed forms", 3);
+    out.cases.extend(closed::winkler());
+    out.cases.extend(closed::two_layer());
+    progress.step();
+    out.add(closed::pinned_pinned());
+    progress.step();
+    out.cases.extend([closed::moving_on_simple_beam(), closed::oscillator()]);
+    out.cases.extend(identities::all());
+    progress.step();
+    progress.begin("reference curves", 3);
+    out.cases.extend(receptance::t1()?);
+    progress.step();
+    out.cases.extend(receptance::panel()?);
+    progress.step();
+    out.cases.extend(moving::t1()?);
+    progress.step();
+    progress.begin("convergence", 4);
+    for study in [convergence::mesh, convergence::sampling, convergence::length, convergence::interpolation] {
+        out.add(study());
+        progress.step();
+    }
+    out.add(passages::all(progress)?);
+    Ok(out)
 }
 
 #[cfg(test)]
@@ -68,18 +219,13 @@ mod tests {
 
     #[test]
     fn analytic_relative_error_and_verdict() {
-        let case = |expected, found| Case {
-            name: String::new(),
-            source: String::new(),
-            unit: "m",
-            expected,
-            found,
-            tolerance: 0.01,
-            curves: None,
-        };
+        let case = |expected, found| Case::new("", "", "m").values(expected, found, 0.01);
         assert!(case(-2.0, -2.01).passed());
         assert!(!case(2.0, 2.1).passed());
         assert!(!case(2.0, f64::NAN).passed());
         assert!(case(0.0, 0.005).passed());
+        let worst = Case::new("", "", "m").worst(&[1.0, 2.0], &[1.001, 2.5], 0.01);
+        assert_eq!((worst.expected, worst.found), (2.0, 2.5));
+        assert!(!Case::new("", "", "m").worst(&[], &[], 0.01).passed(), "nothing compared is no pass");
     }
 }

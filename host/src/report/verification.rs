@@ -1,6 +1,6 @@
 //! Page and table of `verify`.
 
-use crate::verification::{Case, Curves, Verification};
+use crate::verification::{Case, Curves, Table, Verification};
 
 use super::page::{self, Figure, Key, escape};
 use super::plot::{Axis, BLUE, Layer, ORANGE, Plot, range_of};
@@ -22,6 +22,7 @@ pub fn html(verification: &Verification) -> Result<String, ReportError> {
          <th>allowed</th></tr></thead>\n<tbody>\n{rows}</tbody></table></div>\n",
         env!("CARGO_PKG_VERSION")
     );
+    body.extend(verification.tables.iter().map(table_html));
     for case in &verification.cases {
         if let Some(curves) = &case.curves {
             body.push_str(&figure(case, curves)?.html());
@@ -43,6 +44,41 @@ fn row(case: &Case) -> String {
         percent(case.error()),
         percent(case.tolerance)
     )
+}
+
+fn table_html(table: &Table) -> String {
+    let head: String =
+        table.columns.iter().map(|c| format!("<th style=\"text-align:left\">{}</th>", escape(c))).collect();
+    let line = |row: &Vec<String>| {
+        let cells: String = row
+            .iter()
+            .enumerate()
+            .map(|(i, c)| format!("<td{}>{}</td>", if i == 0 { " class=\"text\"" } else { "" }, escape(c)))
+            .collect();
+        format!("<tr>{cells}</tr>\n")
+    };
+    let rows: String = table.rows.iter().map(line).collect();
+    format!(
+        "<h2>{}</h2>\n<p>{}</p>\n<div class=\"scroll\"><table>\n<thead><tr>{head}</tr></thead>\n<tbody>\n{rows}</tbody>\
+         </table></div>\n",
+        escape(&table.title),
+        escape(&table.note)
+    )
+}
+
+/// A study for the terminal: columns as wide as their widest cell.
+fn table_text(table: &Table) -> String {
+    let width = |i: usize| {
+        let cells = table.rows.iter().filter_map(|r| r.get(i)).chain(table.columns.get(i));
+        cells.map(|c| c.chars().count()).max().unwrap_or(0)
+    };
+    let widths: Vec<usize> = (0..table.columns.len()).map(width).collect();
+    let line = |cells: &Vec<String>| {
+        let text: Vec<String> = cells.iter().zip(&widths).map(|(c, w)| padded(c, *w)).collect();
+        format!("{}\n", text.join("  ").trim_end())
+    };
+    let rows: String = table.rows.iter().map(line).collect();
+    format!("\n{}\n{}\n{}{rows}", table.title, table.note, line(&table.columns))
 }
 
 fn percent(value: f64) -> String {
@@ -96,6 +132,7 @@ pub fn table(verification: &Verification) -> String {
             if case.passed() { "" } else { "  FAILED" }
         ));
     }
+    text.extend(verification.tables.iter().map(table_text));
     text
 }
 

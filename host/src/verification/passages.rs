@@ -89,16 +89,16 @@ fn paths() -> [WheelPath; 2] {
 const HALF_SAMPLE_M: f64 = 0.005;
 
 impl Bogie {
-    fn new(track: &Track) -> Self {
+    fn new(track: &Track) -> Result<Self, VerifyError> {
         // Practically no band limit: the published script has none.
         let sampling = GreensSampling { rate_hz: RATE_HZ, len: 4096, band_hz: [2400.0, 2500.0] };
-        let greens = GreensFunctions::new(
+        let greens = GreensFunctions::try_new(
             track,
             &reference::ballast(track),
             sampling,
             Quantity::Displacement,
             &Chain::Corrected,
-        );
+        )?;
         let mut static_m = vec![0.0; SAMPLES];
         for path in paths() {
             for side in [Side::Crossing, Side::Stock] {
@@ -109,7 +109,7 @@ impl Bogie {
                 }
             }
         }
-        Self { static_m, greens }
+        Ok(Self { static_m, greens })
     }
 
     /// Window · (force within ±`half_m` of the sensor, the same for both wheels).
@@ -191,7 +191,7 @@ pub fn all(progress: &dyn Progress) -> Result<(Vec<Case>, Table), VerifyError> {
         let passages = read(file)?;
         let (mut plain, fine) = (reference::panel(pads, Mesh::default()), reference::panel(pads, FINE));
         plain.rail_halvings = 0;
-        let (paper, fine) = (Bogie::new(&plain), Bogie::new(&fine));
+        let (paper, fine) = (Bogie::new(&plain)?, Bogie::new(&fine)?);
         for noise in NOISE {
             let noisy = with_noise(&passages, noise);
             let mut results = rules(&paper, &noisy, &passages)?;

@@ -26,6 +26,10 @@ const SAMPLING: GreensSampling = GreensSampling { rate_hz: 2000.0, len: 1024, ba
 const COMPLEMENT_HZ: f64 = 3.0;
 /// Wheels further away than this do not move the sensor, metres: the constant force fades out there.
 const NEIGHBOUR_M: f64 = 17.0;
+/// Corners of the paper's chain. Below, drift over the length of a train enlarges the very range that the objective is
+/// relative to: one passage in six then gets a corner of 0.3 Hz and forces of several times the true ones.
+const HIGH_PASS: HighPassSearch =
+    HighPassSearch { corner_hz: [0.8, 6.0], steps: 24, clear_m: 6.0, physical_uplift: 0.1 };
 /// Samples of static force assumed around the region where a force is low-passed.
 const SURROUND: usize = 512;
 
@@ -58,7 +62,7 @@ pub fn site_methods(site: &Site, truth: &Truth, progress: &dyn Progress) -> Resu
     let identified = identify(site, progress).map_err(PipelineError::from)?;
     let analysis = evaluate(&identified, progress)?;
     let mut methods = vec![(OURS, score(&analysis, truth))];
-    let chain = DisplacementChain::new(&identified);
+    let chain = DisplacementChain::new(&identified)?;
     for (name, kind) in [(PAPER, Chains::Paper), (BETWEEN, Chains::Between)] {
         progress.begin("force from displacement", site.passages.len() as u64);
         methods.push((name, score(&chain.analysis(&analysis, kind, progress)?, truth)));
@@ -81,13 +85,18 @@ struct DisplacementChain<'a> {
 }
 
 impl<'a> DisplacementChain<'a> {
-    fn new(identified: &'a IdentifiedSite<'a>) -> Self {
+    fn new(identified: &'a IdentifiedSite<'a>) -> Result<Self, VerifyError> {
         let track = &identified.track;
         let ballast: BallastParameters = identified.quasi_static.parameters;
         let distribution = ballast.distribution(track.sleeper_x_m.len(), track.sensor_sleeper);
-        let greens =
-            GreensFunctions::new(track, &distribution, SAMPLING, Quantity::Displacement, &Chain::Corrected);
-        Self { identified, greens, region_m: identified.prior.region_m }
+        let greens = GreensFunctions::try_new(
+            track,
+            &distribution,
+            SAMPLING,
+            Quantity::Displacement,
+            &Chain::Corrected,
+        )?;
+        Ok(Self { identified, greens, region_m: identified.prior.region_m })
     }
 
     /// The analysis with forces and displacement replaced by those of a chain.
@@ -146,9 +155,7 @@ impl<'a> DisplacementChain<'a> {
         let recording = &self.identified.recordings[index];
         let (timing, pattern) = (self.timing(index), &self.identified.pattern);
         match kind {
-            Chains::Paper => {
-                high_pass_displacement(recording, timing, pattern, HighPassSearch::default()).displacement_m
-            }
+            Chains::Paper => high_pass_displacement(recording, timing, pattern, HIGH_PASS).displacement_m,
             Chains::Between => {
                 let model = resample(&self.static_train(index), recording.len);
                 complementary_displacement(recording, timing, pattern, &model, COMPLEMENT_HZ)

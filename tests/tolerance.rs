@@ -23,3 +23,19 @@ pub const EXACT: f64 = 0.0;
 
 /// Relative; values that pass through a float32 column once: half a unit in the last place of 24 bits.
 pub const FLOAT32_COLUMN: f64 = 6e-8;
+
+/// A field site with known truth, force peak of every wheelset, relative, median and 90th percentile: what a decision
+/// about maintenance needs.
+pub const PEAK_MEDIAN: f64 = 0.025;
+/// The same, 90th percentile.
+pub const PEAK_P90: f64 = 0.05;
+/// Position of the peak, median, m: a shorter distance than a grinder works on.
+pub const PEAK_POSITION_M: f64 = 0.03;
+/// Speed of a train, relative, 90th percentile.
+pub const SITE_SPEED: f64 = 1e-3;
+/// Sleeper displacement, RMS over peak to peak, median of the passages.
+pub const DISPLACEMENT: f64 = 0.01;
+/// The node's force peaks against the host's from the same recordings, relative, median.
+pub const NODE_AGAINST_HOST: f64 = 0.03;
+/// Where the node sees an axle, against the host, m: the peak moves by as much, a third of what is allowed for it.
+pub const NODE_AXLE_M: f64 = 0.01;

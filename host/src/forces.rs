@@ -42,6 +42,7 @@ pub fn wheel_forces(site: &IdentifiedSite, index: usize) -> Result<Vec<WheelForc
             axle_offset_m: &kind.offsets.own,
             train_offset_m: &kind.offsets.train,
             static_force_n: passage.static_force_n,
+            mean_force: None,
         };
         let estimator =
             Estimator::new(&site.greens, &geometry, &site.prior, &site.interaction, &site.profile)?;

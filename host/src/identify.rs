@@ -5,8 +5,7 @@ use crate::ballast::evidence::{EvidenceFit, EvidenceProblem};
 use crate::ballast::quasi_static::{QuasiStatic, QuasiStaticFit};
 use crate::greens::{Chain, GreensFunctions, GreensSampling, Quantity};
 use crate::interaction::Interaction;
-use crate::inverse::hierarchy::{SiteModel, SitePassage, SitePosterior};
-use crate::inverse::hyper::refine;
+use crate::inverse::hierarchy::{SitePassage, SitePosterior};
 use crate::inverse::{CommonProfile, InverseError, Prior, ProfileGrids};
 use crate::progress::Progress;
 use crate::reconstruct::{Recording, SpeedSearch, Timing, estimate_speed};
@@ -65,14 +64,10 @@ pub struct IdentifiedSite<'s> {
 
 /// Passages used for the search over ballast; all are used for everything else.
 const CALIBRATION_PASSAGES: usize = 8;
-/// Passages used for the hyper-parameters at the full sampling.
-const HYPER_PASSAGES: usize = 3;
 /// Start of the quasi-static fit: nominal outer stiffness, somewhat less under the crossing.
 const NOMINAL: BallastParameters = BallastParameters { p1_n_m2: 30e6, p2_n_m2: 25e6, p3: 0.4 };
 /// Spacing of the common profile on the two rails, metres; half the shortest wavelength in the band at 45 m/s.
 const PROFILE_STEP_M: (f64, f64) = (0.05, 0.08);
-/// Position uncertainty left after the calibration, metres: common and per passage.
-const SHIFT_SD_M: (f64, f64) = (0.001, 0.01);
 /// Rounds of re-linearising the axle positions.
 const ALIGN_ROUNDS: usize = 2;
 
@@ -125,9 +120,8 @@ pub fn identify<'s>(site: &'s Site, progress: &dyn Progress) -> Result<Identifie
     );
     let interaction =
         Interaction::new(&track, &distribution, &crossing.vehicle, prior.half_m, GreensSampling::wide());
-    let prior = problem.prior.clone();
-    let (prior, posterior) =
-        common_profile(&greens, &interaction, direction, &pattern, prior, &mut passages, progress)?;
+    let prior = Prior::each_wheel_for_itself(direction);
+    let profile = CommonProfile::zero(ProfileGrids::new(prior.half_m, PROFILE_STEP_M.0, PROFILE_STEP_M.1));
     let timings = passages.iter().map(|p| p.timing).collect();
     Ok(IdentifiedSite {
         site,
@@ -136,7 +130,7 @@ pub fn identify<'s>(site: &'s Site, progress: &dyn Progress) -> Result<Identifie
         quasi_static,
         ballast,
         prior,
-        profile: posterior.profile,
+        profile,
         misfit_ratio: 1.0,
         track,
         pattern,
@@ -201,42 +195,4 @@ fn calibrate(
     }
     progress.step();
     Ok(fit)
-}
-
-fn common_profile(
-    greens: &GreensFunctions,
-    interaction: &Interaction,
-    direction: f64,
-    pattern: &AxlePattern,
-    start: Prior,
-    passages: &mut [SitePassage],
-    progress: &dyn Progress,
-) -> Result<(Prior, SitePosterior), IdentifyError> {
-    let grids = ProfileGrids::new(start.half_m, PROFILE_STEP_M.0, PROFILE_STEP_M.1);
-    let posterior = |prior: &Prior, passages: &[SitePassage]| {
-        SiteModel {
-            greens,
-            interaction,
-            direction,
-            pattern,
-            prior,
-            grids: grids.clone(),
-            common_shift_sd_m: SHIFT_SD_M.0,
-            passage_shift_sd_m: SHIFT_SD_M.1,
-        }
-        .posterior(passages)
-    };
-    progress.begin("common irregularity", 1 + ALIGN_ROUNDS as u64);
-    let every = passages.len().div_ceil(HYPER_PASSAGES).max(1);
-    let few: Vec<SitePassage> = passages.iter().step_by(every).copied().collect();
-    let (prior, _) = refine(&start, &|candidate| Ok(posterior(candidate, &few)?.log_evidence))?;
-    progress.step();
-    let mut found = posterior(&prior, passages)?;
-    for _ in 1..ALIGN_ROUNDS {
-        realign(passages, &found);
-        found = posterior(&prior, passages)?;
-        progress.step();
-    }
-    realign(passages, &found);
-    Ok((prior, found))
 }

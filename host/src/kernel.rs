@@ -9,12 +9,13 @@ use cpcm_shared::sample::{FULL_SCALE_CODE, M_S2_PER_CODE, RAW_RATE_HZ};
 use faer::Mat;
 use rayon::prelude::*;
 
-use crate::forces::LOW_PASS_HZ;
+use crate::forces::{LOW_PASS_HZ, all_wheel_forces};
 use crate::greens::{Chain, GreensFunctions, GreensSampling, Quantity};
 use crate::identify::IdentifiedSite;
 use crate::inverse::hierarchy::{GroupKind, kinds};
 use crate::inverse::{Estimator, GroupGeometry, InverseError, Prior};
-use crate::signal::AntiAlias;
+use crate::irregularity::on_grid;
+use crate::signal::{AntiAlias, CubicSpline};
 
 /// Why a package cannot be made.
 #[derive(Debug, thiserror::Error)]
@@ -68,11 +69,12 @@ pub fn package(site: &IdentifiedSite, done: &(dyn Fn() + Sync)) -> Result<Vec<u8
     let greens = node_greens(site);
     let speeds = bin_speeds(site);
     let grid = grid(&site.prior);
+    let mean_force = mean_force(site)?;
     let parts: Vec<Vec<Parts>> = speeds
         .par_iter()
         .map(|v| {
             let bin =
-                kinds.iter().map(|kind| operator(site, &greens, kind, *v, &grid)).collect::<Result<_, _>>();
+                kinds.iter().map(|kind| operator(site, &greens, kind, *v, &grid, &mean_force)).collect::<Result<_, _>>();
             done();
             bin
         })
@@ -95,6 +97,27 @@ pub fn package(site: &IdentifiedSite, done: &(dyn Fn() + Sync)) -> Result<Vec<u8
     out.truncate(len);
     out.extend(payload);
     Ok(out)
+}
+
+/// Mean force deviation of all recorded wheels, newtons, along x: it makes the expected window, to which the node aligns
+/// the axles, look like the recorded ones.
+fn mean_force(site: &IdentifiedSite) -> Result<CubicSpline, InverseError> {
+    let forces = all_wheel_forces(site, &|| ())?;
+    let reach = site.prior.half_m;
+    let count = (2.0 * reach / GRID_STEP_M).round() as usize + 1;
+    let x: Vec<f64> = (0..count).map(|i| -reach + i as f64 * GRID_STEP_M).collect();
+    let mut sum = vec![0.0; count];
+    let mut wheels = 0.0;
+    for (passage, static_force_n) in forces.iter().zip(&site.static_force_n) {
+        for force in passage {
+            wheels += 1.0;
+            for (s, f) in sum.iter_mut().zip(on_grid(&force.position_m, &force.force_n, &x)) {
+                *s += f - static_force_n;
+            }
+        }
+    }
+    let mean: Vec<f64> = sum.iter().map(|s| s / f64::max(wheels, 1.0)).collect();
+    Ok(CubicSpline::new(&x, &mean).unwrap_or_else(CubicSpline::zero))
 }
 
 /// Number of bins [`package`] makes, for progress.
@@ -144,6 +167,7 @@ fn operator(
     kind: &GroupKind,
     speed_m_s: f64,
     grid_m: &[f64],
+    mean_force: &CubicSpline,
 ) -> Result<Parts, InverseError> {
     let geometry = GroupGeometry {
         direction: site.direction,
@@ -151,6 +175,7 @@ fn operator(
         axle_offset_m: &kind.offsets.own,
         train_offset_m: &kind.offsets.train,
         static_force_n: site.static_force_n[0],
+        mean_force: Some(mean_force),
     };
     let estimator = Estimator::new(greens, &geometry, &site.prior, &site.interaction, &site.profile)?;
     let gains = estimator.gains(grid_m, LOW_PASS_HZ);

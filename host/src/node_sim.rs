@@ -34,7 +34,7 @@ use crate::node_client::{ClientError, NodeClient};
 use crate::progress::Progress;
 use crate::recording::Site;
 
-pub use feed::{FeedError, codes_of_site};
+pub use feed::{FeedError, QUIET_S, codes_of_site};
 pub use listener::{Listener, SharedNode, in_process};
 pub use memory::MemoryNor;
 pub use qemu::{Qemu, QemuError, find_elf};

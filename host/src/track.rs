@@ -154,7 +154,7 @@ impl Track {
     /// Receptance between the sensor and all rail nodes, by reciprocity from one unit force at the sensor.
     /// `ballast_n_m2`: stiffness per sleeper.
     pub fn sensor_receptance(&self, frequency_hz: &[f64], ballast_n_m2: &[f64]) -> SensorReceptance {
-        let rows: Vec<(Vec<[c64; 2]>, Vec<[c64; 2]>)> = frequency_hz
+        let (crossing, stock) = frequency_hz
             .par_iter()
             .map(|f| {
                 let system = self.system(std::f64::consts::TAU * f, ballast_n_m2);
@@ -163,10 +163,12 @@ impl Track {
                 x[seat][0] = system.sensor_load[0];
                 x[seat][2] = system.sensor_load[1];
                 system.factor.solve(&mut x);
-                (x.iter().map(|v| [v[0], v[1]]).collect(), x.iter().map(|v| [v[2], v[3]]).collect())
+                (
+                    x.iter().map(|v| [v[0], v[1]]).collect::<Vec<_>>(),
+                    x.iter().map(|v| [v[2], v[3]]).collect::<Vec<_>>(),
+                )
             })
-            .collect();
-        let (crossing, stock) = rows.into_iter().unzip();
+            .unzip();
         SensorReceptance { frequency_hz: frequency_hz.to_vec(), crossing, stock }
     }
 

@@ -32,8 +32,9 @@ pub struct EvidenceProblem<'a> {
     pub vehicle: &'a Vehicle,
 }
 
-/// Prior of the shape p3: between linear and the limits of monotony, which are 0.25 and 0.75.
-const P3_PRIOR: (f64, f64) = (0.5, 0.1);
+/// Prior of the shape p3: between a smooth minimum under the crossing sleeper (q = s², p3 = 0.25) and a cusp (linear,
+/// p3 = 0.5), with room on both sides.
+const P3_PRIOR: (f64, f64) = (0.4, 0.1);
 /// Divisor of the log evidence. All wheels of a train meet the same rail at the same speed, so what the model lacks
 /// repeats in every one of them: a train of twelve wheelsets is one independent look, not twelve.
 const TEMPERATURE: f64 = 12.0;

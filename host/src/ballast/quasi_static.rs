@@ -165,9 +165,11 @@ impl<'a> QuasiStatic<'a> {
         let mut t = start;
         for _ in 0..4 {
             let (mut slope, mut curvature) = (0.0, 0.0);
-            for k in 0..lines {
-                let w = std::f64::consts::TAU * self.frequency_hz[k];
-                let e = passage.measured[k] * model[k].conj() * unit(w * t);
+            for ((hz, measured), modelled) in
+                self.frequency_hz.iter().zip(&passage.measured).zip(model).take(lines)
+            {
+                let w = std::f64::consts::TAU * hz;
+                let e = measured * modelled.conj() * unit(w * t);
                 slope -= w * e.im;
                 curvature -= w * w * e.re;
             }
@@ -185,11 +187,11 @@ impl<'a> QuasiStatic<'a> {
         let mut power = 0.0;
         for ((passage, model), time) in self.passages.iter().zip(&models).zip(times.iter_mut()) {
             *time = self.refine_time(passage, model, *time);
-            for k in 0..self.in_band(passage) {
-                let shift = unit(-std::f64::consts::TAU * self.frequency_hz[k] * *time);
-                let e = passage.measured[k] - model[k] * shift;
+            let lines = self.frequency_hz.iter().zip(&passage.measured).zip(model);
+            for ((hz, measured), modelled) in lines.take(self.in_band(passage)) {
+                let e = measured - modelled * unit(-std::f64::consts::TAU * hz * *time);
                 out.extend([e.re, e.im]);
-                power += passage.measured[k].norm_sqr();
+                power += measured.norm_sqr();
             }
         }
         let scale = 1.0 / power.sqrt().max(f64::MIN_POSITIVE);

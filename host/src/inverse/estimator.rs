@@ -10,6 +10,7 @@ use super::profile::CommonProfile;
 use crate::greens::GreensFunctions;
 use crate::greens::moving::{WheelPath, constant_force_response, kernel};
 use crate::interaction::Interaction;
+use crate::signal::CubicSpline;
 use crate::track::Side;
 
 /// Time after the last wheel has left the reach during which its response is still used, seconds.
@@ -46,6 +47,9 @@ pub struct GroupGeometry<'a> {
     pub train_offset_m: &'a [f64],
     /// Static wheel force, newtons.
     pub static_force_n: f64,
+    /// Mean force deviation of earlier wheels on the crossing side as a function of x, newtons; it takes the place of what
+    /// the common irregularity predicts. `None` when nothing is known.
+    pub mean_force: Option<&'a CubicSpline>,
 }
 
 /// Window and model of one axle group: what the sensor is expected to show and how it varies.
@@ -135,7 +139,7 @@ impl Estimator {
         };
         let mut covariance = noise_covariance(prior, len);
         let mut profile_response = Mat::zeros(len, mean.grids.len());
-        let context = Context { greens, interaction, static_force_n: geometry.static_force_n, prior, mean };
+        let context = Context { greens, interaction, static_force_n: geometry.static_force_n, mean_force: geometry.mean_force, prior, mean };
         let axles: Vec<AxleModel> = geometry
             .axle_offset_m
             .iter()
@@ -231,6 +235,7 @@ struct Context<'a> {
     greens: &'a GreensFunctions,
     interaction: &'a Interaction,
     static_force_n: f64,
+    mean_force: Option<&'a CubicSpline>,
     prior: &'a Prior,
     mean: &'a CommonProfile,
 }
@@ -243,7 +248,7 @@ impl AxleModel {
         covariance: &mut Mat<f64>,
         profile_response: &mut Mat<f64>,
     ) -> Option<Self> {
-        let Context { greens, interaction, static_force_n, prior, mean } = *context;
+        let Context { greens, interaction, static_force_n, mean_force, prior, mean } = *context;
         let (rate, len) = (greens.sampling.rate_hz, covariance.nrows());
         let range = path.samples_within(prior.half_m, rate);
         let positions: Vec<f64> = range.clone().map(|j| path.x_m(j as f64 / rate)).collect();
@@ -266,7 +271,12 @@ impl AxleModel {
             let deflection = interaction.static_deflection_m(side, &positions, static_force_n);
             let excitation =
                 Mat::from_fn(positions.len(), 1, |j, _| deflection[j] + mean.at(side, positions[j]));
-            let mean_n = &follow * &excitation;
+            let mut mean_n = &follow * &excitation;
+            if let (Side::Crossing, Some(force)) = (side, mean_force) {
+                for (j, x) in positions.iter().enumerate() {
+                    mean_n[(j, 0)] = force.at(*x);
+                }
+            }
             let response = &matrix * &follow;
             for (j, x) in positions.iter().enumerate() {
                 add_scaled(&mut expected_m_s2, matrix.col_as_slice(j), mean_n[(j, 0)]);

@@ -88,6 +88,7 @@ impl SiteModel<'_> {
             axle_offset_m: &offsets.own,
             train_offset_m: &offsets.train,
             static_force_n: passage.static_force_n,
+            mean_force: None,
         }
     }
 

@@ -70,6 +70,18 @@ impl Prior {
         }
     }
 
+    /// Every wheel stands for itself: a wide prior of its force, nothing shared. For the force estimate at the full band,
+    /// where the linearised interaction of wheel and track is not accurate enough to carry knowledge from one wheel to
+    /// the next.
+    pub fn each_wheel_for_itself(direction: f64) -> Self {
+        Self {
+            own: Spread { region: 25e3, outside: 4e3, stock: 4e3 },
+            slow_n: 20e3,
+            noise_m_s2: 0.08,
+            ..Self::starting(direction)
+        }
+    }
+
     /// Standard deviation of a wheel's own force deviation at `x_m`, newtons.
     pub fn own_sd_n(&self, side: Side, x_m: f64) -> f64 {
         self.along(&self.own, side, x_m)

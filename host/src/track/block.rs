@@ -39,8 +39,8 @@ impl<const B: usize> Factor<B> {
         for i in 0..self.coupling.len() {
             let previous = rhs[i];
             for (r, target) in rhs[i + 1].iter_mut().enumerate() {
-                for k in 0..B {
-                    *target -= self.coupling[i][k][r] * previous[k];
+                for (row, value) in self.coupling[i].iter().zip(&previous) {
+                    *target -= row[r] * value;
                 }
             }
         }

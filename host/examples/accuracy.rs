@@ -1,0 +1,56 @@
+//! Error of the analysis against the known truth, one line per site:
+//!
+//!     cargo run --release --example accuracy -- tests/data/field/reference-*
+
+use std::path::Path;
+use std::time::Instant;
+
+use cpcm::pipeline::{AnalyseOptions, analyse};
+use cpcm::progress::Silent;
+use cpcm::recording::read_site;
+use cpcm::recording::truth::read_truth;
+use cpcm::scoring::{Score, score};
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    println!(
+        "site                     force peak    waveform   at peak    speed  displacement   in interval   time"
+    );
+    println!(
+        "                         median  90 %    median    median   median        median   peak  curve"
+    );
+    for dir in std::env::args().skip(1) {
+        let dir = Path::new(&dir);
+        let site = read_site(dir)?;
+        let clock = Instant::now();
+        let analysis = analyse(&site, &AnalyseOptions::default(), &Silent)?;
+        let seconds = clock.elapsed().as_secs_f64();
+        let s = score(&analysis, &read_truth(dir)?);
+        let percent = |values: &[f64]| 100.0 * Score::median(values);
+        println!(
+            "{:<23} {:>5.2} % {:>5.2} % {:>5.2} % {:>6.1} mm {:>6.3} %      {:>5.2} %  {:>3.0} %  {:>3.0} % {:>4.0} s",
+            dir.file_name().unwrap_or_default().display(),
+            percent(&s.peak),
+            100.0 * Score::p90(&s.peak),
+            percent(&s.waveform),
+            1e3 * Score::median(&s.peak_position_m),
+            percent(&s.speed),
+            percent(&s.displacement),
+            100.0 * s.peak_coverage,
+            100.0 * s.waveform_coverage,
+            seconds,
+        );
+        if let Some([p1, p2, p3]) = s.ballast_truth {
+            let b = &analysis.ballast;
+            println!(
+                "  ballast p1 {:.1} ({:.1}), p2 {:.1} ({:.1}) MN/m², p3 {:.2} ({:.2}); in brackets the truth",
+                1e-6 * b.p1_n_m2.value,
+                1e-6 * p1,
+                1e-6 * b.p2_n_m2.value,
+                1e-6 * p2,
+                b.p3.value,
+                p3
+            );
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,44 @@
+#!/bin/sh
+# Everything that can be checked without hardware: format, lints, documentation, tests on the computer, the firmware of
+# both boards, the firmware in QEMU. Stops at the first failure. Needs rustup; installs the target and QEMU where it may.
+set -eu
+cd "$(dirname "$0")"
+
+step() { printf '\n== %s\n' "$1"; }
+
+step "tools"
+rustup target add thumbv7em-none-eabihf
+if ! command -v qemu-system-arm >/dev/null; then
+    if command -v apt-get >/dev/null && [ "$(id -u)" = 0 ]; then
+        apt-get update && apt-get install --yes --no-install-recommends qemu-system-arm
+    elif command -v apt-get >/dev/null && sudo -n true 2>/dev/null; then
+        sudo apt-get update && sudo apt-get install --yes --no-install-recommends qemu-system-arm
+    else
+        echo "qemu-system-arm (7.2 or later) is missing and cannot be installed from here. Install it and run again:" >&2
+        echo "  Debian, Ubuntu: apt-get install qemu-system-arm;  Fedora: dnf install qemu-system-arm;  macOS: brew install qemu" >&2
+        exit 1
+    fi
+fi
+rustc --version
+qemu-system-arm --version | head -n 1
+
+step "format"
+cargo fmt --all --check
+
+step "lints"
+cargo clippy --all-targets -- -D warnings
+cargo clippy --package cpcm-shared --target thumbv7em-none-eabihf -- -D warnings
+for board in stm32 qemu; do
+    cargo clippy --package cpcm-node --target thumbv7em-none-eabihf --features "board-$board" -- -D warnings
+done
+
+step "documentation"
+RUSTDOCFLAGS="-D warnings" cargo doc --no-deps
+
+step "firmware: flash and RAM of both boards"
+cargo test --package cpcm-tests --test firmware -- --nocapture
+
+step "tests"
+cargo test --no-fail-fast
+
+printf '\nall checks passed\n'

@@ -1,0 +1,139 @@
+//! A whole field site with known truth: how far host and node are from it, and from each other.
+//!
+//! `cargo test --package cpcm-tests --test accuracy -- --nocapture` prints the numbers.
+
+mod tolerance;
+
+use std::sync::{Arc, OnceLock};
+
+use cpcm::analysis::Analysis;
+use cpcm::identify::identify;
+use cpcm::node_sim::{QUIET_S, SharedNode, codes_of_site, with_kernel};
+use cpcm::pipeline;
+use cpcm::progress::Silent;
+use cpcm::recording::truth::{Truth, read_truth};
+use cpcm::recording::{Site, read_site};
+use cpcm::scoring::{Score, score};
+use cpcm::signal::quantile;
+use cpcm_shared::record::Record;
+use cpcm_shared::sample::{RAW_RATE_HZ, SensorCode};
+use cpcm_tests::sample::field;
+
+struct Run {
+    site: Site,
+    truth: Truth,
+    analysis: Analysis,
+    package: Vec<u8>,
+    records: Vec<Record>,
+}
+
+/// `reference-1`, once for all tests.
+fn run() -> &'static Run {
+    static RUN: OnceLock<Run> = OnceLock::new();
+    RUN.get_or_init(|| {
+        let site = read_site(&field("reference-1")).unwrap();
+        let identified = identify(&site, &Silent).unwrap();
+        let analysis = pipeline::evaluate(&identified, &Silent).unwrap();
+        let package = pipeline::package(&identified, &Silent).unwrap();
+        let records = cpcm::node_sim::records(&site, &package, &Silent).unwrap();
+        let truth = read_truth(&field("reference-1")).unwrap();
+        drop(identified);
+        Run { site, truth, analysis, package, records }
+    })
+}
+
+fn scored() -> &'static Score {
+    static SCORE: OnceLock<Score> = OnceLock::new();
+    SCORE.get_or_init(|| score(&run().analysis, &run().truth))
+}
+
+/// Prints median and 90th percentile, and returns them.
+fn told(what: &str, values: &[f64]) -> (f64, f64) {
+    let (median, p90) = (quantile(values, 0.5), quantile(values, 0.9));
+    println!("{what}: median {median:.3e}, 90th percentile {p90:.3e}, {} values", values.len());
+    (median, p90)
+}
+
+#[test]
+fn reference_force_peak() {
+    assert_eq!(scored().peak.len(), 24 * 12, "every wheelset of every train");
+    let (median, p90) = told("force peak, relative error", &scored().peak);
+    assert!(median < tolerance::PEAK_MEDIAN, "median {median:.4}");
+    assert!(p90 < tolerance::PEAK_P90, "90th percentile {p90:.4}");
+}
+
+#[test]
+fn reference_peak_position() {
+    let (median, _) = told("position of the peak, m", &scored().peak_position_m);
+    assert!(median < tolerance::PEAK_POSITION_M, "median {median:.4}");
+}
+
+#[test]
+fn reference_speed() {
+    let (_, p90) = told("speed, relative error", &scored().speed);
+    assert!(p90 < tolerance::SITE_SPEED, "90th percentile {p90:.2e}");
+}
+
+#[test]
+fn reference_displacement() {
+    let (median, _) = told("sleeper displacement, error over peak to peak", &scored().displacement);
+    assert!(median < tolerance::DISPLACEMENT, "median {median:.4}");
+}
+
+/// The node's share of the error: its peaks against the host's from the same recordings.
+#[test]
+fn reference_node_agrees_with_the_host() {
+    let Run { analysis, records, .. } = run();
+    assert_eq!(records.len(), analysis.passages.len(), "every train is found, and nothing else");
+    let mut difference = Vec::new();
+    for (record, passage) in records.iter().zip(&analysis.passages) {
+        assert_eq!(record.wheelsets.len(), passage.wheelsets.len(), "every axle of {}", passage.passage_id);
+        assert_eq!(record.flags, 0, "passage {}", passage.passage_id);
+        assert!((f64::from(record.speed_m_s) / passage.speed_m_s - 1.0).abs() < tolerance::SITE_SPEED);
+        let pairs = record.wheelsets.iter().zip(&passage.wheelsets);
+        difference.extend(pairs.map(|(n, h)| (f64::from(n.peak_force_n) / h.peak_force_n.value - 1.0).abs()));
+    }
+    let (median, _) = told("node against host, relative difference of the peak", &difference);
+    assert!(median < tolerance::NODE_AGAINST_HOST, "median {median:.4}");
+}
+
+#[test]
+fn reference_node_finds_axles_where_the_host_does() {
+    let Run { site, analysis, records, .. } = run();
+    let rate = f64::from(RAW_RATE_HZ);
+    let (mut start, mut distance_m) = (0.0, Vec::new());
+    for ((record, passage), recording) in records.iter().zip(&analysis.passages).zip(&site.passages) {
+        let recording_start = start + QUIET_S;
+        for (node, host_s) in record.wheelsets.iter().zip(&passage.axle_times_s) {
+            let node_s = record.first_axle_sample as f64 / rate + f64::from(node.time_s) - recording_start;
+            distance_m.push((node_s - host_s).abs() * passage.speed_m_s);
+        }
+        start += recording.acceleration_m_s2.len() as f64 / rate + 2.0 * QUIET_S;
+    }
+    assert_eq!(distance_m.len(), 24 * 12);
+    let (_, p90) = told("axle, node against host, m", &distance_m);
+    assert!(p90 < tolerance::NODE_AXLE_M, "90th percentile {p90:.4}");
+}
+
+/// What every recording begins with, before the train, over and over: nothing is recorded of it.
+#[test]
+fn reference_node_records_nothing_of_quiet_track() {
+    let node: SharedNode = with_kernel(&run().package).unwrap();
+    let quiet: Vec<SensorCode> =
+        run().site.passages.iter().flat_map(|p| quiet(&p.acceleration_m_s2)).collect();
+    println!("{} s of quiet track", quiet.len() / RAW_RATE_HZ as usize);
+    let mut node = Arc::into_inner(node).unwrap().into_inner().unwrap();
+    node.sense(quiet, |record| panic!("{record:?}"));
+    // The same node does record a train.
+    let mut found = 0;
+    let first = Site { passages: run().site.passages[..1].to_vec(), ..run().site.clone() };
+    node.sense(codes_of_site(&first).unwrap(), |_| found += 1);
+    assert_eq!(found, 1);
+}
+
+/// Ten seconds of the first quarter of a second, forwards and backwards so that it has no steps.
+fn quiet(recording: &[f32]) -> Vec<SensorCode> {
+    let head = &recording[..RAW_RATE_HZ as usize / 4];
+    let there_and_back = head.iter().chain(head.iter().rev()).cycle();
+    there_and_back.take(10 * RAW_RATE_HZ as usize).map(|&a| SensorCode::from_m_s2(f64::from(a))).collect()
+}

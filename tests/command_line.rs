@@ -1,0 +1,189 @@
+//! The program as a user meets it: what it prints, leaves behind and answers to the shell.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use cpcm::recording::{Format, Site, read_site, write_site};
+use cpcm::results::read_forces;
+use cpcm_tests::program::{cpcm, succeeds};
+use cpcm_tests::sample::field;
+use tempfile::TempDir;
+
+fn text(path: &Path) -> &str {
+    path.to_str().unwrap()
+}
+
+/// Code 1, all words on standard error, no panic.
+fn fails(args: &[&str], words: &[&str]) {
+    let run = cpcm(args);
+    let error = String::from_utf8_lossy(&run.stderr);
+    assert_eq!(run.status.code(), Some(1), "cpcm {args:?}: {error}");
+    assert!(error.starts_with("error: ") || error.starts_with("warning: "), "{error}");
+    assert!(!error.contains("panicked"), "{error}");
+    for word in words {
+        assert!(error.contains(word), "`{word}` is missing in: {error}");
+    }
+}
+
+// --- demo -----------------------------------------------------------------------------------------------------
+
+#[test]
+fn property_demo_prints_the_peaks_and_leaves_a_report() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("new/demo");
+    let printed = succeeds(&["demo", "--out", text(&out)]);
+    let report = out.join("report.html");
+    assert!(printed.ends_with(&format!("report: {}\n", report.display())), "{printed}");
+    let rows = printed.lines().filter(|line| line.matches(" %").count() == 2 && line.contains('…')).count();
+    assert_eq!(rows, 24 * 12, "a line for every wheelset");
+    for word in ["condition ", "action ", "ballast ", "host: 288 peaks", "node: 288 peaks"] {
+        assert!(printed.contains(word), "`{word}` is missing in: {printed}");
+    }
+    for name in ["report.html", "forces.parquet", "ballast.csv", "indicators.json", "kernel.bin", "peaks.txt"]
+    {
+        assert!(fs::metadata(out.join(name)).unwrap().len() > 100, "{name}");
+    }
+    assert!(fs::read_to_string(report).unwrap().trim_end().ends_with("</html>"));
+    // What it unpacks is a site like any other.
+    assert_eq!(read_site(&out.join("site")).unwrap().passages.len(), 24);
+}
+
+#[test]
+fn property_demo_as_json() {
+    let dir = tempfile::tempdir().unwrap();
+    let printed = succeeds(&["demo", "--json", "--out", text(dir.path())]);
+    let json: serde_json::Value = serde_json::from_str(&printed).unwrap();
+    assert_eq!(json["peaks"].as_array().unwrap().len(), 24 * 12);
+    for peak in json["peaks"].as_array().unwrap() {
+        let [lower, value, upper] =
+            ["host_lower_n", "host_n", "host_upper_n"].map(|k| peak[k].as_f64().unwrap());
+        assert!(lower < value && value < upper, "{peak}");
+        assert!(peak["node_n"].is_f64() && peak["truth_n"].is_f64(), "{peak}");
+    }
+    assert!(Path::new(json["report"].as_str().unwrap()).is_file());
+}
+
+#[test]
+fn property_demo_into_a_file_is_an_error() {
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("occupied");
+    fs::write(&file, "keep").unwrap();
+    fails(&["demo", "--out", text(&file)], &["occupied"]);
+    assert_eq!(fs::read_to_string(&file).unwrap(), "keep");
+}
+
+// --- wrong usage ----------------------------------------------------------------------------------------------
+
+#[test]
+fn property_wrong_usage_is_code_2_and_help_is_code_0() {
+    for args in [
+        &["demo", "--no-such"][..],
+        &["kernel", "site"],
+        &["node"],
+        &["node", "download", "--baud", "x"],
+        &[],
+    ] {
+        assert_eq!(cpcm(args).status.code(), Some(2), "{args:?}");
+    }
+    for args in [&["--help"][..], &["--version"], &["demo", "--help"], &["node", "simulate", "--help"]] {
+        assert!(!succeeds(args).is_empty(), "{args:?}");
+    }
+}
+
+// --- bad input ------------------------------------------------------------------------------------------------
+
+/// Four passages of a field site, and a way to spoil them.
+fn site(change: impl FnOnce(&mut Site)) -> (TempDir, PathBuf) {
+    let dir = tempfile::tempdir().unwrap();
+    let mut site = read_site(&field("reference-2")).unwrap();
+    site.passages.truncate(4);
+    change(&mut site);
+    let path = dir.path().join("site");
+    write_site(&path, &site, Format::Parquet).unwrap();
+    (dir, path)
+}
+
+/// `analyse` and `kernel` both refuse the site with these words and write nothing.
+fn refused(dir: &Path, site: &Path, words: &[&str]) {
+    for command in ["analyse", "kernel"] {
+        let out = dir.join(command);
+        fails(&[command, text(site), "--out", text(&out)], words);
+        assert!(!out.exists(), "{command} leaves nothing behind");
+    }
+}
+
+#[test]
+fn property_missing_site() {
+    let dir = tempfile::tempdir().unwrap();
+    refused(dir.path(), &dir.path().join("nowhere"), &["nowhere"]);
+}
+
+#[test]
+fn property_unknown_design() {
+    let (dir, site) = site(|_| {});
+    let file = site.join("crossing.toml");
+    let toml = fs::read_to_string(&file).unwrap();
+    let spoilt: Vec<String> = toml
+        .lines()
+        .map(|line| if line.starts_with("design") { "design = \"UIC99\"".into() } else { line.to_string() })
+        .collect();
+    fs::write(&file, spoilt.join("\n")).unwrap();
+    refused(dir.path(), &site, &["crossing.toml", "design", "UIC99"]);
+}
+
+#[test]
+fn property_truncated_parquet() {
+    let (dir, site) = site(|_| {});
+    let file = site.join("passages.parquet");
+    let bytes = fs::read(&file).unwrap();
+    fs::write(&file, &bytes[..bytes.len() / 2]).unwrap();
+    refused(dir.path(), &site, &["passages.parquet"]);
+}
+
+#[test]
+fn property_no_passages() {
+    let (dir, site) = site(|site| site.passages.clear());
+    refused(dir.path(), &site, &["passages.parquet"]);
+}
+
+#[test]
+fn property_all_passages_bad() {
+    let (dir, site) = site(|site| site.passages.iter_mut().for_each(|p| p.acceleration_m_s2[100] = f32::NAN));
+    refused(dir.path(), &site, &["passages.parquet"]);
+}
+
+/// One bad passage costs that passage, not the site.
+#[test]
+fn property_bad_passage_is_left_out_and_named() {
+    let (dir, site) = site(|site| site.passages[2].acceleration_m_s2[5000] = f32::NAN);
+    let out = dir.path().join("out");
+    let run = cpcm(&["analyse", text(&site), "--out", text(&out)]);
+    let error = String::from_utf8_lossy(&run.stderr);
+    assert_eq!(run.status.code(), Some(0), "{error}");
+    assert!(error.contains("warning: passage 2 is left out"), "{error}");
+    let rows = read_forces(&out.join("forces.parquet")).unwrap();
+    assert_eq!(rows.len(), 3 * 12);
+    assert!(rows.iter().all(|row| row.passage_id != 2));
+    let json: serde_json::Value =
+        serde_json::from_str(&fs::read_to_string(out.join("indicators.json")).unwrap()).unwrap();
+    assert_eq!(json["passages"]["used"], 3);
+    assert!(
+        fs::read_to_string(out.join("report.html")).unwrap().contains("NaN"),
+        "the report gives the reason"
+    );
+}
+
+/// A recording without a train in it, as a sensor with a wrong trigger makes.
+#[test]
+fn property_passage_without_a_train_is_left_out_and_named() {
+    let (dir, site) = site(|site| {
+        let recording = &mut site.passages[1].acceleration_m_s2;
+        let quiet: Vec<f32> = recording[..1000].to_vec();
+        recording.iter_mut().enumerate().for_each(|(i, a)| *a = quiet[i % 1000]);
+    });
+    let out = dir.path().join("out");
+    let run = cpcm(&["analyse", text(&site), "--out", text(&out)]);
+    let error = String::from_utf8_lossy(&run.stderr);
+    assert_eq!(run.status.code(), Some(0), "{error}");
+    assert!(error.contains("warning: passage 1 is left out"), "{error}");
+}

@@ -8,6 +8,7 @@ mod passages;
 mod receptance;
 pub mod reference;
 mod site;
+mod tolerance;
 
 pub use site::{SiteMethods, site_methods};
 

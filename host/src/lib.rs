@@ -12,6 +12,7 @@ pub mod inverse;
 pub mod irregularity;
 pub mod kernel;
 pub mod node_sim;
+pub mod passage;
 pub mod pipeline;
 pub mod progress;
 pub mod reconstruct;

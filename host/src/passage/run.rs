@@ -1,0 +1,388 @@
+//! Time loop of one passage.
+
+use super::contact::ContactLaw;
+use super::error::{SimulationError, in_range};
+use super::model::RailPoint;
+use super::stepper::{Stepper, TrackState};
+use super::surface::{RunningSurface, smooth_step};
+use super::unit::{CONTACTS, Train, UnitState, UnitStepper, Wheel};
+
+/// How the train moves. Position of axle i: x = direction · (first + speed t + acceleration t²/2 − offset of i).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Journey {
+    /// +1 facing, −1 trailing.
+    pub direction: f64,
+    /// Speed at t = 0, m/s.
+    pub speed_m_s: f64,
+    /// m/s².
+    pub acceleration_m_s2: f64,
+    /// Distance run by the first axle at t = 0, measured from x = 0 in the direction of travel, m.
+    pub first_m: f64,
+    /// Simulated time, s.
+    pub duration_s: f64,
+    /// Initial state.
+    pub start: Start,
+}
+
+/// State at t = 0.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Start {
+    /// Wheels roll onto an unloaded track, which takes them over within [`LEAD_IN_M`] from its end.
+    Quiet,
+    /// Track and wheels in static equilibrium, then rolling at full speed at once.
+    Static,
+}
+
+/// Length over which the track takes a wheel over from rigid ground, m: long enough not to shake the bogie.
+pub const LEAD_IN_M: f64 = 3.0;
+
+/// Contact force of one wheel along the track.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ContactTrace {
+    /// x, in order of time, m.
+    pub position_m: Vec<f64>,
+    /// N.
+    pub force_n: Vec<f64>,
+}
+
+/// What a passage leaves behind.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PassageRecord {
+    /// Step of `sensor_m`, s.
+    pub dt_s: f64,
+    /// Displacement of the sleeper at the sensor at t = 0, dt, …, m.
+    pub sensor_m: Vec<f64>,
+    /// One per wheel, as in [`Train::wheels`]; where the wheel is inside the asked range.
+    pub contacts: Vec<ContactTrace>,
+}
+
+/// Everything constant during one passage.
+struct Passage<'a> {
+    stepper: &'a Stepper,
+    train: &'a Train,
+    surface: &'a RunningSurface,
+    law: ContactLaw,
+    journey: &'a Journey,
+    /// Static deflection of the track's end part under each wheel, m.
+    ground_m: Vec<f64>,
+}
+
+/// One bogie on its way.
+struct Running {
+    stepper: UnitStepper,
+    state: UnitState,
+    first_wheel: usize,
+    wheels: usize,
+    force_n: [f64; CONTACTS],
+    phase: Phase,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Phase {
+    Before,
+    On,
+    Behind,
+}
+
+/// A wheel over the rail at t + θ dt.
+#[derive(Clone, Copy, Default)]
+struct Contact {
+    point: Option<RailPoint>,
+    x_m: f64,
+    /// Share of the track in carrying the wheel.
+    share: f64,
+    /// Approach without contact force, m.
+    free_m: f64,
+    /// Decrease of the approach per newton through the rail, m/N.
+    rail_m_n: f64,
+}
+
+/// Below this deflection the track has come to rest, m.
+const QUIET_M: f64 = 1e-12;
+/// How often rest and finiteness are looked at, steps.
+const LOOK_EVERY: usize = 64;
+/// Sweeps over the wheels of a bogie; each reduces the error by the ratio of wheelset to contact compliance, 1e-3.
+const SWEEPS: usize = 12;
+/// Relative change of the force at which the sweeps stop.
+const FORCE_TOLERANCE: f64 = 1e-9;
+
+/// Simulates one passage; contact forces are kept for `range_m`.
+pub fn run(
+    stepper: &Stepper,
+    train: &Train,
+    (surface, law): (&RunningSurface, ContactLaw),
+    journey: &Journey,
+    range_m: [f64; 2],
+) -> Result<PassageRecord, SimulationError> {
+    check(train, surface, law, journey)?;
+    let passage =
+        Passage { stepper, train, surface, law, journey, ground_m: ground(stepper, train)? };
+    passage.run(range_m)
+}
+
+fn check(
+    train: &Train,
+    surface: &RunningSurface,
+    law: ContactLaw,
+    journey: &Journey,
+) -> Result<(), SimulationError> {
+    train.check(surface.paths.len())?;
+    match law {
+        ContactLaw::Hertz(c) => in_range("Hertz constant", c, [1e8, 1e13], "N/m^1.5")?,
+        ContactLaw::Linear(k) => in_range("contact stiffness", k, [1e6, 1e12], "N/m")?,
+    }
+    in_range("speed", journey.speed_m_s, [1.0, 150.0], "m/s")?;
+    in_range("acceleration of the train", journey.acceleration_m_s2, [-5.0, 5.0], "m/s2")?;
+    in_range("duration", journey.duration_s, [1e-3, 600.0], "s")?;
+    let last = journey.speed_m_s + journey.acceleration_m_s2 * journey.duration_s;
+    in_range("speed at the end", last, [1.0, 150.0], "m/s")
+}
+
+/// Deflection of the outer track under the static force of each wheel, both rails loaded.
+fn ground(stepper: &Stepper, train: &Train) -> Result<Vec<f64>, SimulationError> {
+    let [first, last] = stepper.model.extent_m();
+    let x = first + (last - first) / 6.0;
+    let mut compliance = [0.0; 2];
+    if stepper.nonlinear_sleepers().is_empty() {
+        let points: Vec<RailPoint> = (0..2).filter_map(|side| stepper.model.point_on(side, x)).collect();
+        let loads: Vec<(RailPoint, f64)> = points.iter().map(|p| (*p, 1.0)).collect();
+        let state = stepper.static_state(&loads)?;
+        for (c, point) in compliance.iter_mut().zip(&points) {
+            *c = stepper.rail_m(&state, point);
+        }
+    }
+    Ok(train.wheels.iter().enumerate().map(|(i, w)| w.static_force_n * compliance[i % 2]).collect())
+}
+
+impl Passage<'_> {
+    fn run(&self, range_m: [f64; 2]) -> Result<PassageRecord, SimulationError> {
+        let (dt, theta) = (self.stepper.step.dt_s, self.stepper.step.theta);
+        let steps = (self.journey.duration_s / dt).round() as usize;
+        let mut track = self.initial_track()?;
+        let mut units = self.initial_units()?;
+        let mut record = PassageRecord {
+            dt_s: dt,
+            sensor_m: vec![0.0; steps + 1],
+            contacts: vec![ContactTrace::default(); self.train.wheels.len()],
+        };
+        let early = self.steps_before_record();
+        let mut at_rest = self.journey.start == Start::Quiet;
+        record.sensor_m[0] = self.stepper.sensor_m(&track);
+        for step in 0..early + steps {
+            let time = (step as f64 - early as f64) * dt;
+            let travelled = self.travelled_m(time + theta * dt);
+            let any = self.update_phases(&mut units, travelled);
+            if at_rest && !any {
+                continue;
+            }
+            at_rest = false;
+            self.stepper.begin(&mut track);
+            for unit in units.iter_mut().filter(|u| u.phase == Phase::On) {
+                self.unit_step(&mut track, unit, travelled, (&mut record.contacts, range_m));
+            }
+            self.stepper.finish(&mut track);
+            if step + 1 >= early {
+                record.sensor_m[step + 1 - early] = self.stepper.sensor_m(&track);
+            }
+            if step % LOOK_EVERY == 0 {
+                let largest = self.stepper.largest_m(&track);
+                if !largest.is_finite() {
+                    return Err(SimulationError::Diverged { time_s: time });
+                }
+                at_rest = !any && largest < QUIET_M;
+            }
+        }
+        Ok(record)
+    }
+
+    fn travelled_m(&self, time_s: f64) -> f64 {
+        let j = self.journey;
+        j.first_m + (j.speed_m_s + 0.5 * j.acceleration_m_s2 * time_s) * time_s
+    }
+
+    /// Steps needed before t = 0 when the first axle is already on the track by then.
+    fn steps_before_record(&self) -> usize {
+        if self.journey.start == Start::Static {
+            return 0;
+        }
+        let on_track = self.journey.first_m - self.entry_m();
+        (on_track.max(0.0) / self.journey.speed_m_s / self.stepper.step.dt_s).ceil() as usize
+    }
+
+    /// Distance in the direction of travel at which the track begins.
+    fn entry_m(&self) -> f64 {
+        let [first, last] = self.stepper.model.extent_m();
+        if self.journey.direction > 0.0 { first } else { -last }
+    }
+
+    /// Whether any unit is on the track.
+    fn update_phases(&self, units: &mut [Running], travelled_m: f64) -> bool {
+        let [first, last] = self.stepper.model.extent_m();
+        let (entry, exit) = (self.entry_m(), self.entry_m() + last - first);
+        let mut any = false;
+        for unit in units {
+            if unit.phase == Phase::Before && travelled_m - unit.stepper.offset_m(0) >= entry {
+                unit.phase = Phase::On;
+            }
+            if unit.phase == Phase::On && travelled_m - unit.stepper.offset_m(unit.wheels - 1) > exit {
+                unit.phase = Phase::Behind;
+            }
+            any |= unit.phase == Phase::On;
+        }
+        any
+    }
+
+    /// Contacts of one unit, then its motion; loads the track.
+    #[inline]
+    fn unit_step(
+        &self,
+        track: &mut TrackState,
+        unit: &mut Running,
+        travelled_m: f64,
+        (traces, range_m): (&mut [ContactTrace], [f64; 2]),
+    ) {
+        let wheels = &self.train.wheels[unit.first_wheel..unit.first_wheel + unit.wheels];
+        let mut static_n = [0.0; CONTACTS];
+        for (force, wheel) in static_n.iter_mut().zip(wheels) {
+            *force = wheel.static_force_n;
+        }
+        unit.stepper.begin(&mut unit.state, &static_n[..unit.wheels]);
+        let mut contacts = [Contact::default(); CONTACTS];
+        for (i, contact) in contacts.iter_mut().enumerate().take(unit.wheels) {
+            *contact = self.contact(track, unit, i, travelled_m);
+        }
+        self.solve_forces(unit, &contacts);
+        unit.stepper.finish(&mut unit.state, &unit.force_n[..unit.wheels]);
+        for (i, contact) in contacts.iter().enumerate().take(unit.wheels) {
+            if let Some(point) = &contact.point {
+                self.stepper.load(track, point, contact.share * unit.force_n[i]);
+            }
+            if contact.x_m >= range_m[0] && contact.x_m <= range_m[1] {
+                let trace = &mut traces[unit.first_wheel + i];
+                trace.position_m.push(contact.x_m);
+                trace.force_n.push(unit.force_n[i]);
+            }
+        }
+    }
+
+    #[inline]
+    fn contact(&self, track: &TrackState, unit: &Running, i: usize, travelled_m: f64) -> Contact {
+        let (wheel, side) = (unit.first_wheel + i, i % 2);
+        let along = travelled_m - unit.stepper.offset_m(i);
+        let x_m = self.journey.direction * along;
+        let share = self.share(x_m);
+        let point = if share > 0.0 { self.stepper.model.point_on(side, x_m) } else { None };
+        let ahead = self.stepper.step.theta * self.stepper.step.dt_s;
+        let (mut rail_m, mut rail_m_n) = (0.0, 0.0);
+        if let Some(p) = &point {
+            rail_m = share * (self.stepper.rail_m(track, p) + ahead * self.stepper.free_rate(track, p));
+            rail_m_n = ahead * share * share * self.stepper.compliance(p);
+        }
+        let surface = share * self.surface_m(&self.train.wheels[wheel], side, x_m, along);
+        let ground = (1.0 - share) * self.ground_m[wheel];
+        let free_m = unit.stepper.free_m(&unit.state, i) - rail_m - ground - surface;
+        Contact { point, x_m, share, free_m, rail_m_n }
+    }
+
+    /// Share of the track in carrying a wheel: rises from its ends inwards.
+    #[inline]
+    fn share(&self, x_m: f64) -> f64 {
+        let [first, last] = self.stepper.model.extent_m();
+        smooth_step((x_m - first).min(last - x_m) / LEAD_IN_M)
+    }
+
+    /// Depth of everything the wheel rolls over, m.
+    #[inline]
+    fn surface_m(&self, wheel: &Wheel, side: usize, x_m: f64, along_m: f64) -> f64 {
+        let rail = if side == 0 {
+            wheel.depth_factor * self.surface.paths[wheel.path].at(x_m - wheel.shift_m)
+                + self.surface.crossing_roughness.at(x_m)
+        } else {
+            self.surface.stock.at(x_m)
+        };
+        let radius = self.train.wheel_radius_m;
+        let waves: f64 = wheel
+            .out_of_roundness
+            .iter()
+            .map(|o| o.amplitude_m * (f64::from(o.order) * along_m / radius + o.phase_rad).sin())
+            .sum();
+        rail + waves + wheel.flat.map_or(0.0, |f| f.at(along_m, radius))
+    }
+
+    /// Contact forces of one unit, coupled through the wheelsets: Gauss-Seidel over scalar solutions.
+    #[inline]
+    fn solve_forces(&self, unit: &mut Running, contacts: &[Contact; CONTACTS]) {
+        let ahead = self.stepper.step.theta * self.stepper.step.dt_s;
+        for _ in 0..SWEEPS {
+            let mut largest_change: f64 = 0.0;
+            for i in 0..unit.wheels {
+                let compliance = &unit.stepper.compliance[i];
+                let mut free = contacts[i].free_m;
+                for j in (0..unit.wheels).filter(|j| *j != i) {
+                    free -= ahead * compliance[j] * unit.force_n[j];
+                }
+                let own = ahead * compliance[i] + contacts[i].rail_m_n;
+                let force = self.law.solve_n(free, own, unit.force_n[i]);
+                largest_change =
+                    largest_change.max((force - unit.force_n[i]).abs() / (1.0 + force.abs()));
+                unit.force_n[i] = force;
+            }
+            if largest_change < FORCE_TOLERANCE {
+                break;
+            }
+        }
+    }
+
+    fn initial_track(&self) -> Result<TrackState, SimulationError> {
+        if self.journey.start == Start::Quiet {
+            return Ok(self.stepper.at_rest());
+        }
+        let mut loads = Vec::new();
+        let mut first_wheel = 0;
+        for unit in &self.train.units {
+            for i in 0..unit.wheels() {
+                let x = self.journey.direction * (self.journey.first_m - unit.contact_offset_m(i));
+                if let Some(point) = self.stepper.model.point_on(i % 2, x) {
+                    loads.push((point, self.share(x) * self.train.wheels[first_wheel + i].static_force_n));
+                }
+            }
+            first_wheel += unit.wheels();
+        }
+        self.stepper.static_state(&loads)
+    }
+
+    fn initial_units(&self) -> Result<Vec<Running>, SimulationError> {
+        let track = self.initial_track()?;
+        let mut first_wheel = 0;
+        let mut units = Vec::with_capacity(self.train.units.len());
+        for unit in &self.train.units {
+            let stepper = UnitStepper::new(unit, self.stepper.step)?;
+            let mut height = [0.0; CONTACTS];
+            let mut force_n = [0.0; CONTACTS];
+            for i in 0..unit.wheels() {
+                let wheel = &self.train.wheels[first_wheel + i];
+                force_n[i] = wheel.static_force_n;
+                height[i] = self.law.approach_m(wheel.static_force_n) + self.ground_m[first_wheel + i];
+                if self.journey.start == Start::Static {
+                    let along = self.journey.first_m - unit.contact_offset_m(i);
+                    let x = self.journey.direction * along;
+                    let share = self.share(x);
+                    let rail = self.stepper.model.point_on(i % 2, x).map_or(0.0, |p| self.stepper.rail_m(&track, &p));
+                    height[i] += share
+                        * (rail - self.ground_m[first_wheel + i] + self.surface_m(wheel, i % 2, x, along));
+                }
+            }
+            let state = stepper.at_rest(&height[..unit.wheels()]);
+            let wheels = unit.wheels();
+            units.push(Running { stepper, state, first_wheel, wheels, force_n, phase: Phase::Before });
+            first_wheel += wheels;
+        }
+        Ok(units)
+    }
+}
+
+impl UnitStepper {
+    fn offset_m(&self, contact: usize) -> f64 {
+        self.unit().contact_offset_m(contact)
+    }
+}

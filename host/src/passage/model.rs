@@ -63,6 +63,37 @@ pub struct RailPoint {
     pub(super) bay: usize,
     pub(super) element: usize,
     pub(super) weights: [f64; 4],
+    /// Static deflection per newton beyond the interpolated one, m/N.
+    pub(super) local_m_n: f64,
+}
+
+/// What the deflection inside an element needs.
+#[derive(Clone, Copy, Debug)]
+struct ElementShape {
+    shear_ratio: f64,
+    /// L³/12EI, m/N.
+    flexibility_m_n: f64,
+}
+
+impl ElementShape {
+    fn new(section: &BeamSection, length_m: f64) -> Self {
+        Self {
+            shear_ratio: beam::shear_ratio(section, length_m),
+            flexibility_m_n: length_m.powi(3) / (12.0 * section.bending_n_m2),
+        }
+    }
+}
+
+/// Deflection under a unit load at `xi` of a Timoshenko beam clamped at both ends, in units of L³/12EI.
+///
+/// An element's nodes move exactly under a load inside it, but its shape functions leave this part out: 23 µm under
+/// 76 kN in the middle of 0.3 m of rail 60E1. Without it every element is a bump for the wheel, and the mesh must be four
+/// times finer for the same error.
+#[inline(always)]
+fn clamped_flexibility(shear_ratio: f64, xi: f64) -> f64 {
+    let p = xi * (1.0 - xi);
+    let skew = 1.0 - 2.0 * xi;
+    p * p * (1.0 - skew * skew / (1.0 + shear_ratio)) + shear_ratio * p
 }
 
 /// Track with supports, ready to be integrated with any step.
@@ -72,6 +103,7 @@ pub struct TrackModel {
     pub(super) first_x_m: f64,
     pub(super) step_m: f64,
     sections: [Vec<BeamSection>; 2],
+    shapes: [Vec<ElementShape>; 2],
     pub(super) rail_damping_s: f64,
     pub(super) pad: Kelvin,
     pub(super) basis: SleeperBasis,
@@ -106,11 +138,16 @@ impl TrackModel {
         let elements = track.node_x_m.len() - 1;
         let sections =
             |side| (0..elements).map(|e| *track.element_section(side, e)).collect::<Vec<BeamSection>>();
+        let sections = [sections(Side::Crossing), sections(Side::Stock)];
+        let shapes = sections.each_ref().map(|s| {
+            s.iter().map(|section| ElementShape::new(section, track.step_m)).collect::<Vec<ElementShape>>()
+        });
         Ok(Self {
             layout: Layout::new(sleepers, track.seat_node(1)),
             first_x_m: track.node_x_m[0],
             step_m: track.step_m,
-            sections: [sections(Side::Crossing), sections(Side::Stock)],
+            sections,
+            shapes,
             rail_damping_s: track.rail_damping_s,
             pad: track.pad,
             basis: SleeperBasis::new(&track.sleeper, sleeper_modes, typical.max(1e6))?,
@@ -138,12 +175,14 @@ impl TrackModel {
             return None;
         }
         let e = (position as usize).min(elements - 1);
-        let phi = beam::shear_ratio(&self.sections[side][e], self.step_m);
+        let ElementShape { shear_ratio, flexibility_m_n } = self.shapes[side][e];
+        let xi = position - e as f64;
         Some(RailPoint {
             side,
             bay: e / self.layout.nodes_per_bay,
             element: e % self.layout.nodes_per_bay,
-            weights: beam::shape(phi, self.step_m, position - e as f64),
+            weights: beam::shape(shear_ratio, self.step_m, xi),
+            local_m_n: flexibility_m_n * clamped_flexibility(shear_ratio, xi),
         })
     }
 
@@ -156,5 +195,30 @@ impl TrackModel {
     pub(super) fn element_matrix(&self, section: &BeamSection, mass: f64, stiffness: f64) -> Matrix4 {
         let (k, m) = (beam::stiffness(section, self.step_m), beam::mass(section, self.step_m));
         std::array::from_fn(|i| std::array::from_fn(|j| mass * m[i][j] + stiffness * k[i][j]))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn analytic_clamped_beam() {
+        // Euler, middle: L³/192EI. Shear only: ab/(κGA L) in units of L³/12EI is Φ ξ(1 − ξ).
+        assert!((clamped_flexibility(0.0, 0.5) - 12.0 / 192.0).abs() < 1e-15);
+        assert!((clamped_flexibility(1e9, 0.3) / (1e9 * 0.21) - 1.0).abs() < 1e-8);
+        // The same from two elements with a node under the load.
+        let section = BeamSection::rail_60e1_benchmark();
+        let (a, b) = (0.11, 0.19);
+        let (left, right) = (beam::stiffness(&section, a), beam::stiffness(&section, b));
+        let (k, c, m) = (
+            left[2][2] + right[0][0],
+            left[2][3] + right[0][1],
+            left[3][3] + right[1][1],
+        );
+        let expected = m / (k * m - c * c);
+        let shape = ElementShape::new(&section, a + b);
+        let found = shape.flexibility_m_n * clamped_flexibility(shape.shear_ratio, a / (a + b));
+        assert!((found / expected - 1.0).abs() < 1e-12, "{found} {expected}");
     }
 }

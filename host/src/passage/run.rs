@@ -276,7 +276,7 @@ impl Passage<'_> {
         let (mut rail_m, mut rail_m_n) = (0.0, 0.0);
         if let Some(p) = &point {
             rail_m = share * (self.stepper.rail_m(track, p) + ahead * self.stepper.free_rate(track, p));
-            rail_m_n = ahead * share * share * self.stepper.compliance(p);
+            rail_m_n = share * share * (ahead * self.stepper.compliance(p) + p.local_m_n);
         }
         let surface = share * self.surface_m(&self.train.wheels[wheel], side, x_m, along);
         let ground = (1.0 - share) * self.ground_m[wheel];

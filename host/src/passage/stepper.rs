@@ -87,6 +87,7 @@ pub struct TrackState {
     /// Sleeper rates one step earlier.
     earlier: Vec<f64>,
     correction: Vec<f64>,
+    load: Vec<f64>,
     work: Vec<f64>,
     seats: Vec<Seat>,
 }
@@ -161,6 +162,7 @@ impl Stepper {
             sleeper: Motion::at_rest(sleeper),
             earlier: vec![0.0; sleeper],
             correction: vec![0.0; sleeper],
+            load: vec![0.0; sleeper],
             work: vec![0.0; rail],
             seats: vec![[0.0; 4]; layout.sleepers],
         }
@@ -198,20 +200,7 @@ impl Stepper {
         if !self.nonlinear.is_empty() {
             self.correct_beds(state);
         }
-        self.arch.dispatch(
-            #[inline(always)]
-            || {
-                let TrackState { rail, sleeper, correction, work, .. } = state;
-                if self.nonlinear.is_empty() {
-                    work.copy_from_slice(&rail.b);
-                    self.effective.condense(&sleeper.b, &mut sleeper.v, work);
-                } else {
-                    let total: Vec<f64> = sleeper.b.iter().zip(correction.iter()).map(|(b, c)| b + c).collect();
-                    work.copy_from_slice(&rail.b);
-                    self.effective.condense(&total, &mut sleeper.v, work);
-                }
-            },
-        );
+        self.arch.dispatch(Begin(self, state));
     }
 
     /// Rate of a rail point at t + θ dt under everything but the loads of this step.
@@ -234,16 +223,7 @@ impl Stepper {
 
     /// Ends the step.
     pub fn finish(&self, state: &mut TrackState) {
-        self.arch.dispatch(
-            #[inline(always)]
-            || {
-                self.effective.solve_rails(&mut state.work, &mut state.seats);
-                std::mem::swap(&mut state.rail.v, &mut state.work);
-                self.effective.recover_sleepers(&state.rail.v, &mut state.sleeper.v);
-                self.advance_sleepers(state);
-                self.advance_rails(state);
-            },
-        );
+        self.arch.dispatch(Finish(self, state));
     }
 
     /// Sleepers and pads: new r, b, u of the coordinates; pad forces on the rail seats.
@@ -251,7 +231,7 @@ impl Stepper {
     fn advance_sleepers(&self, state: &mut TrackState) {
         let (stride, n) = (self.model.layout.stride, self.model.basis.len());
         let basis = &self.model.basis;
-        let (dt, theta, shares) = (self.step.dt_s, self.step.theta, self.step.shares());
+        let (dt, per_theta, shares) = (self.step.dt_s, 1.0 / self.step.theta, self.step.shares());
         let (kp, cp, gp) = (self.model.pad.stiffness, self.model.pad.damping, self.effective.pad);
         let TrackState { rail, sleeper, correction, .. } = state;
         for at in (0..stride).step_by(CHUNK) {
@@ -267,22 +247,24 @@ impl Stepper {
             }
             for (side, p) in pad.iter().enumerate() {
                 let place = side * stride + at;
-                let (b, r) = (lanes_mut(&mut rail.b, place), lanes_mut(&mut rail.r, place));
+                let (mut b, mut r) = (*lanes(&rail.b, place), *lanes(&rail.r, place));
                 for l in 0..CHUNK {
-                    b[l] -= (r[l] + cp * p[l]) / theta + 2.0 * dt * kp * p[l];
+                    b[l] -= (r[l] + cp * p[l]) * per_theta + 2.0 * dt * kp * p[l];
                     // The elastic force of the beam itself is added with the elements, after this r was used.
                     r[l] += dt * kp * p[l];
                 }
+                (*lanes_mut(&mut rail.b, place), *lanes_mut(&mut rail.r, place)) = (b, r);
             }
             let (k, c, bed) =
-                (lanes(&self.bed_stiffness, at), lanes(&self.bed_damping, at), lanes(&self.bed_inverse, at));
+                (*lanes(&self.bed_stiffness, at), *lanes(&self.bed_damping, at), *lanes(&self.bed_inverse, at));
             for i in 0..n {
                 let elastic = basis.elastic[i];
                 let inertia = shares.mass + (basis.damping_s + shares.stiffness) * elastic;
                 let place = i * stride + at;
-                let (v, f) = (lanes(&sleeper.v, place), lanes(correction, place));
-                let (b, r) = (lanes_mut(&mut sleeper.b, place), lanes_mut(&mut sleeper.r, place));
-                let u = lanes_mut(&mut sleeper.u, place);
+                // Copies, because the compiler cannot know that the lists do not overlap.
+                let (v, f) = (*lanes(&sleeper.v, place), *lanes(correction, place));
+                let (mut b, mut r) = (*lanes(&sleeper.b, place), *lanes(&sleeper.r, place));
+                let mut u = *lanes(&sleeper.u, place);
                 for l in 0..CHUNK {
                     let through_pads = basis.seat[0][i] * pad[0][l] + basis.seat[1][i] * pad[1][l];
                     // From the equation itself: what is neither inertia nor elastic is the bed's share.
@@ -290,10 +272,12 @@ impl Stepper {
                     let stiff = elastic * v[l] + k[l] * deflection - kp * through_pads;
                     let damp =
                         basis.damping_s * elastic * v[l] + c[l] * deflection - cp * through_pads;
-                    b[l] += (f[l] - r[l] - damp) / theta - 2.0 * dt * stiff;
+                    b[l] += (f[l] - r[l] - damp) * per_theta - 2.0 * dt * stiff;
                     r[l] += dt * stiff;
                     u[l] += dt * v[l];
                 }
+                (*lanes_mut(&mut sleeper.b, place), *lanes_mut(&mut sleeper.r, place)) = (b, r);
+                *lanes_mut(&mut sleeper.u, place) = u;
             }
         }
     }
@@ -311,14 +295,15 @@ impl Stepper {
             // Row 0 holds the seats' deflections, whose r went into b with the pads.
             let old = if index == 0 { 0.0 } else { 1.0 / theta };
             for at in (index * row..index * row + layout.lanes()).step_by(CHUNK) {
-                let (k, v) = (lanes(work, at), lanes(&rail.v, at));
-                let (b, r) = (lanes_mut(&mut rail.b, at), lanes_mut(&mut rail.r, at));
-                let u = lanes_mut(&mut rail.u, at);
+                let (k, v) = (*lanes(work, at), *lanes(&rail.v, at));
+                let (mut b, mut r, mut u) = (*lanes(&rail.b, at), *lanes(&rail.r, at), *lanes(&rail.u, at));
                 for l in 0..CHUNK {
                     b[l] -= old * r[l] + (damping / theta + 2.0 * dt) * k[l];
                     r[l] += dt * k[l];
                     u[l] += dt * v[l];
                 }
+                (*lanes_mut(&mut rail.b, at), *lanes_mut(&mut rail.r, at)) = (b, r);
+                *lanes_mut(&mut rail.u, at) = u;
             }
         }
     }
@@ -375,6 +360,41 @@ impl Stepper {
             return f64::NAN;
         }
         lanes.iter().fold(0.0, |largest, u| largest.max(u.abs()))
+    }
+}
+
+/// First half of a step, compiled for the widest vectors of the machine. Only the width differs: no operation is fused
+/// or reordered, so that every machine gives the same bits.
+struct Begin<'a>(&'a Stepper, &'a mut TrackState);
+
+impl pulp::WithSimd for Begin<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, _simd: S) {
+        let Self(stepper, TrackState { rail, sleeper, correction, work, load, .. }) = self;
+        work.copy_from_slice(&rail.b);
+        for ((total, b), c) in load.iter_mut().zip(&sleeper.b).zip(correction.iter()) {
+            *total = b + c;
+        }
+        stepper.effective.condense(load, &mut sleeper.v, work);
+    }
+}
+
+/// Second half of a step.
+struct Finish<'a>(&'a Stepper, &'a mut TrackState);
+
+impl pulp::WithSimd for Finish<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, _simd: S) {
+        let Self(stepper, state) = self;
+        stepper.effective.solve_rails(&mut state.work, &mut state.seats);
+        std::mem::swap(&mut state.rail.v, &mut state.work);
+        stepper.effective.recover_sleepers(&state.rail.v, &mut state.sleeper.v);
+        stepper.advance_sleepers(state);
+        stepper.advance_rails(state);
     }
 }
 

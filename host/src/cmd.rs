@@ -8,6 +8,7 @@ mod demo;
 mod kernel;
 mod output;
 mod progress;
+mod simulate;
 
 use std::process::ExitCode;
 
@@ -33,6 +34,7 @@ const EXAMPLES: &str = "Examples:
 enum Command {
     Demo(demo::DemoArgs),
     Analyse(analyse::AnalyseArgs),
+    Simulate(simulate::SimulateArgs),
     Kernel(kernel::KernelArgs),
     Convert(convert::ConvertArgs),
 }
@@ -43,6 +45,7 @@ pub fn main() -> ExitCode {
     let result = match Cli::parse().command {
         Command::Demo(args) => args.run(),
         Command::Analyse(args) => args.run(),
+        Command::Simulate(args) => args.run(),
         Command::Kernel(args) => args.run(),
         Command::Convert(args) => args.run(),
     };

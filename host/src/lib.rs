@@ -19,6 +19,7 @@ pub mod reconstruct;
 pub mod recording;
 pub mod report;
 pub mod results;
+pub mod scenario;
 pub mod scoring;
 pub mod section;
 pub mod signal;

@@ -9,8 +9,9 @@ pub enum ContactLaw {
     Linear(f64),
 }
 
-/// Newton stops when the approach changes by less than this part.
-const TOLERANCE: f64 = 1e-13;
+/// Newton stops when the approach changes by less than this part; convergence is quadratic, so that the error left is of the
+/// order of its square.
+const TOLERANCE: f64 = 1e-7;
 const NEWTON_STEPS: usize = 30;
 
 impl ContactLaw {

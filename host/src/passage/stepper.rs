@@ -68,7 +68,7 @@ pub struct Stepper {
     bed_damping: Vec<f64>,
     bed_inverse: Vec<f64>,
     nonlinear: Vec<usize>,
-    arch: pulp::Arch,
+    pub(super) arch: pulp::Arch,
 }
 
 /// Stiffness of the rail elements in terms of shear and bending deformation, `[element in bay · row + lane]`.

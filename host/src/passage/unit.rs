@@ -268,7 +268,7 @@ impl UnitStepper {
     }
 
     /// Begins a step: rates without contact forces, under the static forces of the wheels.
-    #[inline]
+    #[inline(always)]
     pub fn begin(&self, state: &mut UnitState, static_n: &[f64]) {
         let mut load =
             self.unit.mass.component_mul(&state.v) * self.step.shares().mass - self.unit.stiffness * state.x;
@@ -279,7 +279,7 @@ impl UnitStepper {
     }
 
     /// Height of contact `i` at t + θ dt without contact forces, m.
-    #[inline]
+    #[inline(always)]
     pub fn free_m(&self, state: &UnitState, contact: usize) -> f64 {
         let ahead = self.step.theta * self.step.dt_s;
         self.unit.contacts[contact].dot(&(state.x + state.rate * ahead))
@@ -291,7 +291,7 @@ impl UnitStepper {
     }
 
     /// Ends the step under the contact forces (N, upwards on the wheels).
-    #[inline]
+    #[inline(always)]
     pub fn finish(&self, state: &mut UnitState, force_n: &[f64]) {
         let mut load = Vector::zeros();
         for (contact, force) in self.unit.contacts.iter().zip(force_n) {

@@ -241,15 +241,12 @@ impl Effective {
         let (row, m) = (self.layout.row, 2 * (self.layout.nodes_per_bay - 1));
         let mut inner = [[0.0; CHUNK]; MOST_INTERIOR];
         for at in (0..self.layout.lanes()).step_by(CHUNK) {
-            let seat: [[f64; CHUNK]; 4] =
-                std::array::from_fn(|a| *lanes(x, (a % 2) * row + at + a / 2));
+            let seat: [[f64; CHUNK]; 4] = std::array::from_fn(|a| *lanes(x, (a % 2) * row + at + a / 2));
             for i in 0..m {
                 let mut sum = [0.0; CHUNK];
                 for j in 0..m {
-                    let (a, b) = (
-                        lanes(&self.interior_inverse, (i * m + j) * row + at),
-                        lanes(x, (2 + j) * row + at),
-                    );
+                    let (a, b) =
+                        (lanes(&self.interior_inverse, (i * m + j) * row + at), lanes(x, (2 + j) * row + at));
                     for l in 0..CHUNK {
                         sum[l] += a[l] * b[l];
                     }

@@ -47,8 +47,7 @@ impl Influence {
                     for dof in 0..2 {
                         let loaded = layout.dof(side, bay, element, dof);
                         let column = scratch.column(effective, loaded);
-                        influence.cut_off =
-                            influence.cut_off.max(outside(layout, column, side, bay, reach));
+                        influence.cut_off = influence.cut_off.max(outside(layout, column, side, bay, reach));
                         influence.store(column, side, [bay, element], dof);
                     }
                 }
@@ -95,9 +94,8 @@ impl Influence {
     /// First lane of the window around a bay; windows at the rail ends are moved inwards.
     #[inline(always)]
     fn first_lane(&self, side: usize, bay: usize) -> usize {
-        let most = (self.layout.row - width(self.reach)).min(
-            side * self.layout.stride + self.layout.stride.saturating_sub(width(self.reach) - 1),
-        );
+        let most = (self.layout.row - width(self.reach))
+            .min(side * self.layout.stride + self.layout.stride.saturating_sub(width(self.reach) - 1));
         (side * self.layout.stride + bay.saturating_sub(self.reach)).min(most)
     }
 

@@ -116,11 +116,7 @@ pub const SLEEPER_MODES: usize = 5;
 
 impl TrackModel {
     /// `supports`: one per sleeper.
-    pub fn new(
-        track: &Track,
-        supports: Vec<Support>,
-        sleeper_modes: usize,
-    ) -> Result<Self, SimulationError> {
+    pub fn new(track: &Track, supports: Vec<Support>, sleeper_modes: usize) -> Result<Self, SimulationError> {
         let sleepers = track.sleeper_x_m.len();
         if supports.len() != sleepers {
             return Err(SimulationError::Supports { supports: supports.len(), sleepers });
@@ -211,11 +207,7 @@ mod tests {
         let section = BeamSection::rail_60e1_benchmark();
         let (a, b) = (0.11, 0.19);
         let (left, right) = (beam::stiffness(&section, a), beam::stiffness(&section, b));
-        let (k, c, m) = (
-            left[2][2] + right[0][0],
-            left[2][3] + right[0][1],
-            left[3][3] + right[1][1],
-        );
+        let (k, c, m) = (left[2][2] + right[0][0], left[2][3] + right[0][1], left[3][3] + right[1][1]);
         let expected = m / (k * m - c * c);
         let shape = ElementShape::new(&section, a + b);
         let found = shape.flexibility_m_n * clamped_flexibility(shape.shear_ratio, a / (a + b));

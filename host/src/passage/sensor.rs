@@ -162,7 +162,9 @@ impl SensorChain {
 /// Displacement of the sleeper at the samples of an ideal clock, m.
 pub fn ideal_displacement(passage: &PassageRecord, sample_rate_hz: f64) -> Vec<f64> {
     let step = 1.0 / (sample_rate_hz * passage.dt_s);
-    (0..samples_of(passage, sample_rate_hz)).map(|k| interpolate(&passage.sensor_m, k as f64 * step)).collect()
+    (0..samples_of(passage, sample_rate_hz))
+        .map(|k| interpolate(&passage.sensor_m, k as f64 * step))
+        .collect()
 }
 
 /// Samples of a recording of the passage at a rate.
@@ -210,7 +212,9 @@ mod tests {
     /// A burst of `frequency_hz` with 50 m/s² amplitude around t = 0.5 s.
     fn burst(frequency_hz: f64) -> PassageRecord {
         let omega = std::f64::consts::TAU * frequency_hz;
-        let motion = |t: f64| -50.0 / (omega * omega) * (omega * (t - 0.5)).cos() * (-((t - 0.5) / 0.08f64).powi(2)).exp();
+        let motion = |t: f64| {
+            -50.0 / (omega * omega) * (omega * (t - 0.5)).cos() * (-((t - 0.5) / 0.08f64).powi(2)).exp()
+        };
         PassageRecord {
             dt_s: 1e-4,
             sensor_m: (0..=10_000).map(|k| motion(k as f64 * 1e-4)).collect(),
@@ -224,11 +228,14 @@ mod tests {
 
     #[test]
     fn analytic_amplitude_and_half_power_frequency() {
-        let mut random = Random::new(0, 0);
-        let low = peak(&chain().record(&burst(100.0), &mut random));
-        assert!((low / 50.0 - 1.0).abs() < 0.01, "{low}");
-        let corner = peak(&chain().record(&burst(1500.0), &mut random));
-        assert!((corner / 50.0 - 0.5f64.sqrt()).abs() < 0.01, "{corner}");
+        // Energy of the burst: 50² · 0.08 √(π/2) / 2.
+        let expected = 2500.0 * 0.08 * (std::f64::consts::PI / 2.0).sqrt() / 2.0;
+        let energy = |frequency_hz: f64| {
+            let recording = chain().record(&burst(frequency_hz), &mut Random::new(0, 0));
+            recording.iter().map(|a| f64::from(*a).powi(2) / 4000.0).sum::<f64>()
+        };
+        assert!((energy(100.0) / expected - 1.0).abs() < 0.01, "{}", energy(100.0) / expected);
+        assert!((energy(1500.0) / expected - 0.5).abs() < 0.01, "{}", energy(1500.0) / expected);
     }
 
     #[test]

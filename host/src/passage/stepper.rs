@@ -45,11 +45,7 @@ impl TimeStep {
     }
 
     pub(super) fn shares(&self) -> Shares {
-        Shares {
-            mass: 1.0 / (self.theta * self.dt_s),
-            damping: 1.0,
-            stiffness: self.theta * self.dt_s,
-        }
+        Shares { mass: 1.0 / (self.theta * self.dt_s), damping: 1.0, stiffness: self.theta * self.dt_s }
     }
 }
 
@@ -255,8 +251,11 @@ impl Stepper {
                 }
                 (*lanes_mut(&mut rail.b, place), *lanes_mut(&mut rail.r, place)) = (b, r);
             }
-            let (k, c, bed) =
-                (*lanes(&self.bed_stiffness, at), *lanes(&self.bed_damping, at), *lanes(&self.bed_inverse, at));
+            let (k, c, bed) = (
+                *lanes(&self.bed_stiffness, at),
+                *lanes(&self.bed_damping, at),
+                *lanes(&self.bed_inverse, at),
+            );
             for i in 0..n {
                 let elastic = basis.elastic[i];
                 let inertia = shares.mass + (basis.damping_s + shares.stiffness) * elastic;
@@ -270,8 +269,7 @@ impl Stepper {
                     // From the equation itself: what is neither inertia nor elastic is the bed's share.
                     let deflection = (f[l] + b[l] + gp * through_pads - inertia * v[l]) * bed[l];
                     let stiff = elastic * v[l] + k[l] * deflection - kp * through_pads;
-                    let damp =
-                        basis.damping_s * elastic * v[l] + c[l] * deflection - cp * through_pads;
+                    let damp = basis.damping_s * elastic * v[l] + c[l] * deflection - cp * through_pads;
                     b[l] += (f[l] - r[l] - damp) * per_theta - 2.0 * dt * stiff;
                     r[l] += dt * stiff;
                     u[l] += dt * v[l];
@@ -426,8 +424,7 @@ impl Elements {
             let (next, shift) = if e + 1 < nodes { (2 * (e + 1), 0) } else { (0, 1) };
             for at in (0..used).step_by(CHUNK) {
                 let (w1, t1) = (*lanes(v, 2 * e * row + at), *lanes(v, (2 * e + 1) * row + at));
-                let (w2, t2) =
-                    (*lanes(v, next * row + at + shift), *lanes(v, (next + 1) * row + at + shift));
+                let (w2, t2) = (*lanes(v, next * row + at + shift), *lanes(v, (next + 1) * row + at + shift));
                 let (ks, kb) = (lanes(&self.shear, e * row + at), lanes(&self.bending, e * row + at));
                 let (mut force, mut left, mut right) = ([0.0; CHUNK], [0.0; CHUNK], [0.0; CHUNK]);
                 for l in 0..CHUNK {
@@ -450,5 +447,189 @@ impl Elements {
 fn add(target: &mut [f64; CHUNK], values: &[f64; CHUNK], sign: f64) {
     for (t, v) in target.iter_mut().zip(values) {
         *t += sign * v;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::recording::read_site;
+    use crate::track::{Kelvin, Mesh, Side, Track};
+
+    fn site_track(damped: bool) -> Track {
+        let dir = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/data/field/reference-1");
+        let mut crossing = read_site(&dir).unwrap().crossing;
+        crossing.track.n_sleepers = 25;
+        crossing.track.crossing_sleeper_index = 12;
+        crossing.sensor.sleeper_index = 12;
+        if !damped {
+            crossing.rail.damping_stiffness_proportional_s = 0.0;
+            crossing.sleeper.damping_stiffness_proportional_s = 0.0;
+            crossing.pad.damping_ns_m = 0.0;
+        }
+        Track::of_crossing(&crossing, Mesh::default())
+    }
+
+    fn ballast() -> Vec<f64> {
+        (0..25).map(|s| if s == 12 { 18e6 } else { 30e6 }).collect()
+    }
+
+    fn stepper(track: &Track, damping: f64, modes: usize, dt_s: f64) -> Stepper {
+        let supports = ballast().iter().map(|k| Support::linear(*k, damping)).collect();
+        Stepper::new(TrackModel::new(track, supports, modes).unwrap(), TimeStep { dt_s, theta: 0.5 }).unwrap()
+    }
+
+    /// Steady response at the sensor and under the load to a harmonic force at a rail node: amplitude by Fourier
+    /// coefficients over whole periods after the transient.
+    fn harmonic(stepper: &Stepper, node_x_m: f64, frequency_hz: f64) -> [f64; 2] {
+        let dt = stepper.step.dt_s;
+        let per_period = (1.0 / (frequency_hz * dt)).round() as usize;
+        let (skip, count) = (per_period * ((0.6 / dt) as usize / per_period), 20 * per_period);
+        let point = stepper.model.point(Side::Crossing, node_x_m).unwrap();
+        let mut state = stepper.at_rest();
+        let mut sums = [[0.0; 2]; 2];
+        for n in 0..skip + count {
+            let phase = std::f64::consts::TAU * (n as f64 + 0.5) / per_period as f64;
+            stepper.begin(&mut state);
+            // The scheme holds at the middle of the step; so does the force.
+            stepper.load(&mut state, &point, phase.cos());
+            stepper.finish(&mut state);
+            if n >= skip {
+                let after = std::f64::consts::TAU * (n as f64 + 1.0) / per_period as f64;
+                for (sum, value) in
+                    sums.iter_mut().zip([stepper.sensor_m(&state), stepper.rail_m(&state, &point)])
+                {
+                    sum[0] += value * after.cos() * 2.0 / count as f64;
+                    sum[1] += value * after.sin() * 2.0 / count as f64;
+                }
+            }
+        }
+        // Displacement between the steps is the mean of its ends: amplitude times cos(ω dt/2).
+        let mean = (std::f64::consts::PI / per_period as f64).cos();
+        sums.map(|s| s[0].hypot(s[1]) * mean)
+    }
+
+    #[test]
+    fn property_harmonic_response_is_that_of_the_frequency_domain_model() {
+        let track = site_track(true);
+        let full = stepper(&track, 125e3, 100, 1e-4);
+        let reduced = stepper(&track, 125e3, crate::passage::SLEEPER_MODES, 1e-4);
+        let node = track.seat_node(11) + 1;
+        for frequency_hz in [20.0, 100.0, 200.0, 400.0] {
+            let per_period = (1e4_f64 / frequency_hz).round();
+            // The scheme sees the frequency 2/dt tan(ω dt/2).
+            let seen = (std::f64::consts::PI / per_period).tan() * 1e4 / std::f64::consts::PI;
+            let sensor = track.sensor_receptance(&[seen], &ballast()).crossing[0][node][0].norm();
+            let rail =
+                track.rail_receptance(&[seen], &ballast(), Side::Crossing, &[node], &[node])[0][0][0].norm();
+            for (what, model, tolerance) in [("full", &full, 1e-6), ("reduced", &reduced, 0.01)] {
+                let found = harmonic(model, track.node_x_m[node], 1e4 / per_period);
+                for (found, expected) in found.iter().zip([sensor, rail]) {
+                    let error = found / expected - 1.0;
+                    assert!(error.abs() < tolerance, "{what}, {frequency_hz} Hz: {error}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn property_static_state_is_the_limit_of_the_frequency_domain_model() {
+        let track = site_track(true);
+        let stepper = stepper(&track, 125e3, 3, 1e-4);
+        let node = track.seat_node(10);
+        let point = stepper.model.point(Side::Crossing, track.node_x_m[node]).unwrap();
+        let state = stepper.static_state(&[(point, 1.0)]).unwrap();
+        let rail =
+            track.rail_receptance(&[1e-4], &ballast(), Side::Crossing, &[node], &[node])[0][0][0].norm();
+        assert!((stepper.rail_m(&state, &point) / rail - 1.0).abs() < 1e-6, "seats are statically exact");
+        // Nothing moves when the load stays.
+        let mut moving = state.clone();
+        for _ in 0..50 {
+            stepper.begin(&mut moving);
+            stepper.load(&mut moving, &point, 1.0);
+            stepper.finish(&mut moving);
+        }
+        assert!((stepper.rail_m(&moving, &point) / rail - 1.0).abs() < 1e-6);
+    }
+
+    #[test]
+    fn property_energy_of_the_undamped_track_is_the_work_done_on_it() {
+        let stepper = stepper(&site_track(false), 0.0, 5, 1e-4);
+        let point = stepper.model.point(Side::Stock, 0.47).unwrap();
+        let mut state = stepper.at_rest();
+        let ahead = stepper.step.theta * stepper.step.dt_s;
+        let momentum = |m: &Motion| m.b.iter().zip(&m.r).map(|(b, r)| (b + r) * ahead).collect::<Vec<f64>>();
+        let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(x, y)| x * y).sum::<f64>();
+        let (mut kinetic, mut work) = (0.0, 0.0);
+        for n in 0..2000 {
+            let before = [momentum(&state.rail), momentum(&state.sleeper)];
+            let at = stepper.rail_m(&state, &point);
+            let force = if n < 300 { 1e5 * (f64::from(n) / 50.0).sin() } else { 0.0 };
+            stepper.begin(&mut state);
+            stepper.load(&mut state, &point, force);
+            stepper.finish(&mut state);
+            work += force * (stepper.rail_m(&state, &point) - at);
+            for (p, m) in before.iter().zip([&state.rail, &state.sleeper]) {
+                let change: Vec<f64> = momentum(m).iter().zip(p).map(|(a, b)| a - b).collect();
+                kinetic += dot(&change, &m.v);
+            }
+            let potential =
+                0.5 * (dot(&state.rail.u, &state.rail.r) + dot(&state.sleeper.u, &state.sleeper.r));
+            assert!(
+                (kinetic + potential - work).abs() < 1e-7 * work.abs().max(1.0),
+                "{n}: {kinetic} {potential} {work}"
+            );
+        }
+        assert!(kinetic > 0.0 && work > 0.0);
+    }
+
+    #[test]
+    fn property_numerical_damping_takes_energy_out_and_half_does_not() {
+        let swing = |theta: f64| {
+            let track = site_track(false);
+            let supports = ballast().iter().map(|k| Support::linear(*k, 0.0)).collect();
+            let model = TrackModel::new(&track, supports, 3).unwrap();
+            let stepper = Stepper::new(model, TimeStep { dt_s: 2e-4, theta }).unwrap();
+            let point = stepper.model.point(Side::Crossing, 0.3).unwrap();
+            let mut state = stepper.at_rest();
+            let mut late: f64 = 0.0;
+            for n in 0..5000 {
+                stepper.begin(&mut state);
+                stepper.load(&mut state, &point, if n < 10 { 1e5 } else { 0.0 });
+                stepper.finish(&mut state);
+                if n > 4000 {
+                    late = late.max(stepper.sensor_m(&state).abs());
+                }
+            }
+            late
+        };
+        let (none, some) = (swing(0.5), swing(0.6));
+        assert!(none > 1e-5 && some < 0.5 * none, "{none} {some}");
+    }
+
+    #[test]
+    fn property_influence_left_out_is_negligible() {
+        let track = Track::benchmark_t1(Kelvin { stiffness: 200e6, damping: 28e3 }, Mesh::default());
+        let supports = vec![Support::linear(30e6, 125e3); 101];
+        let stepper =
+            Stepper::new(TrackModel::new(&track, supports, 2).unwrap(), TimeStep::default()).unwrap();
+        assert!(stepper.influence_cut_off() < 1e-6, "{}", stepper.influence_cut_off());
+        // The rate found before the step is the rate that the step then has.
+        let points = [3.31, 30.1, 59.9].map(|x| stepper.model.point(Side::Crossing, x).unwrap());
+        let mut state = stepper.at_rest();
+        for n in 0..200 {
+            stepper.begin(&mut state);
+            let force = 1e4 * (1.0 + f64::from(n).sin());
+            let expected = points.map(|p| stepper.free_rate(&state, &p) + force * stepper.compliance(&p));
+            let before = points.map(|p| stepper.rail_m(&state, &p));
+            for point in &points {
+                stepper.load(&mut state, point, force);
+            }
+            stepper.finish(&mut state);
+            for ((point, expected), before) in points.iter().zip(expected).zip(before) {
+                let rate = (stepper.rail_m(&state, point) - before) / stepper.step.dt_s;
+                assert!((rate - expected).abs() < 1e-6 * (1.0 + expected.abs()), "{n}: {rate} {expected}");
+            }
+        }
     }
 }

@@ -124,11 +124,7 @@ pub struct RunningSurface {
 impl RunningSurface {
     /// Level rails.
     pub fn level() -> Self {
-        Self {
-            paths: vec![Profile::level()],
-            crossing_roughness: Profile::level(),
-            stock: Profile::level(),
-        }
+        Self { paths: vec![Profile::level()], crossing_roughness: Profile::level(), stock: Profile::level() }
     }
 }
 

@@ -302,3 +302,75 @@ impl UnitStepper {
         state.x += state.rate * self.step.dt_s;
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn analytic_wheelset_bounces_on_its_contact_springs() {
+        // 1340 kg on two springs of 1 MN/m, let go 1 mm above equilibrium. The scheme's own frequency is known:
+        // tan(ω' dt/2) = ω dt/2.
+        let (mass, k, step) = (1340.0, 1e6, TimeStep { dt_s: 1e-3 / 4.0, theta: 0.5 });
+        let unit = VehicleUnit::wheelset(mass, 700.0, 0.75, 0.0).unwrap();
+        let stepper = UnitStepper::new(&unit, step).unwrap();
+        let mut state = stepper.at_rest(&[-1e-3, -1e-3]);
+        let omega = (2.0 * k / mass).sqrt();
+        let discrete = 2.0 / step.dt_s * (0.5 * omega * step.dt_s).atan();
+        let ahead = 0.5 * step.dt_s;
+        for n in 1..2000 {
+            stepper.begin(&mut state, &[0.0, 0.0]);
+            // Force of each spring at the middle of the step: k (free − ahead · (c₀₀ + c₀₁) F).
+            let compliance = ahead * (stepper.compliance[0][0] + stepper.compliance[0][1]);
+            let force = k * stepper.free_m(&state, 0) / (1.0 + k * compliance);
+            stepper.finish(&mut state, &[force, force]);
+            let expected = -1e-3 * (discrete * f64::from(n) * step.dt_s).cos();
+            assert!((state.x[0] - expected).abs() < 1e-9, "{n}: {} {expected}", state.x[0]);
+        }
+    }
+
+    #[test]
+    fn analytic_bogie_on_rigid_ground_keeps_its_static_forces() {
+        let unit = VehicleUnit::bogie(
+            &Bogie {
+                wheelset_mass_kg: [1340.0; 2],
+                wheelset_roll_inertia_kg_m2: [700.0; 2],
+                frame_mass_kg: 2800.0,
+                frame_pitch_inertia_kg_m2: 2200.0,
+                frame_roll_inertia_kg_m2: 1900.0,
+                stiffness_per_axle_box_n_m: 1.1e6,
+                damping_per_axle_box_ns_m: 12e3,
+                axle_box_half_distance_m: 1.0,
+                contact_half_distance_m: 0.75,
+                axle_spacing_m: 2.9,
+            },
+            0.0,
+        )
+        .unwrap();
+        // Rigid motions (heave, pitch, roll of everything together) stretch no spring.
+        for motion in [
+            [1.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0],
+            [1.45, 0.0, -1.45, 0.0, 0.0, 1.0, 0.0],
+            [0.0, 1.0, 0.0, 1.0, 0.0, 0.0, 1.0],
+        ] {
+            let motion = Vector::from(motion);
+            let force = unit.stiffness * motion;
+            let sign = unit.stiffness * Vector::from([1.45, 0.0, -1.45, 0.0, 0.0, -1.0, 0.0]);
+            assert!(force.amax() < 1e-6 || sign.amax() < 1e-6, "{force}");
+        }
+        let stepper = UnitStepper::new(&unit, TimeStep::default()).unwrap();
+        let mut state = stepper.at_rest(&[0.0; 4]);
+        let q = [70e3, 80e3, 75e3, 65e3];
+        for _ in 0..100 {
+            stepper.begin(&mut state, &q);
+            stepper.finish(&mut state, &q);
+        }
+        assert!(state.x.amax() < 1e-15);
+    }
+
+    #[test]
+    fn property_impossible_masses_are_refused() {
+        let refused = VehicleUnit::wheelset(-5.0, 700.0, 0.75, 0.0).unwrap_err();
+        assert!(matches!(refused, SimulationError::OutOfRange { value: -5.0, .. }));
+    }
+}

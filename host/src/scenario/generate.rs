@@ -58,12 +58,8 @@ pub fn simulate(scenario: &Scenario, progress: &dyn Progress) -> Result<Simulate
         })
         .collect::<Result<_, _>>()?;
     let (passages, wheels): (Vec<Passage>, Vec<Vec<WheelTruth>>) = results.into_iter().unzip();
-    let site = Site {
-        crossing: scenario.crossing.clone(),
-        passages,
-        scan: Some(world.scan()),
-        skipped: Vec::new(),
-    };
+    let site =
+        Site { crossing: scenario.crossing.clone(), passages, scan: Some(world.scan()), skipped: Vec::new() };
     let truth = Truth { wheels: wheels.into_iter().flatten().collect(), site: world.site_truth() };
     Ok(SimulatedSite { site, truth })
 }
@@ -101,13 +97,11 @@ impl<'a> World<'a> {
         let real = shortened(real_crossing(&scenario.crossing, &s.effects), s.solver.sleepers_each_side);
         let mesh = Mesh { rail_step_m: s.solver.rail_step_m, sleeper_step_m: s.solver.sleeper_step_m };
         let track = Track::of_crossing(&real, mesh);
-        let ballast = BallastParameters {
-            p1_n_m2: s.ballast.p1_n_m2,
-            p2_n_m2: s.ballast.p2_n_m2,
-            p3: s.ballast.p3,
-        };
+        let ballast =
+            BallastParameters { p1_n_m2: s.ballast.p1_n_m2, p2_n_m2: s.ballast.p2_n_m2, p3: s.ballast.p3 };
         let mut ballast_n_m2 = ballast.distribution(track.sleeper_x_m.len(), track.sensor_sleeper);
-        let supports = supports(&mut ballast_n_m2, real.ballast.damping_ns_m2, &s.effects, track.sensor_sleeper)?;
+        let supports =
+            supports(&mut ballast_n_m2, real.ballast.damping_ns_m2, &s.effects, track.sensor_sleeper)?;
         let model = TrackModel::new(&track, supports, s.solver.sleeper_modes)?;
         let extent = model.extent_m();
         let stepper = Stepper::new(model, TimeStep { dt_s: s.solver.dt_s, theta: s.solver.theta })?;
@@ -120,7 +114,8 @@ impl<'a> World<'a> {
         let mut random = Random::new(s.seed, PASSAGES + index as u64);
         let speed = s.speed_m_s * (1.0 + random.between(-s.speed_spread, s.speed_spread));
         let temperature_c = s.temperature_c[0] + s.temperature_c[1] * random.between(-1.0, 1.0);
-        let operator = s.operator_speed_error.map(|e| speed * (1.0 + (e * random.normal()).clamp(-0.01, 0.01)));
+        let operator =
+            s.operator_speed_error.map(|e| speed * (1.0 + (e * random.normal()).clamp(-0.01, 0.01)));
         let journey = self.journey(speed, &mut random);
         let train = self.train(&mut random)?;
         let law = ContactLaw::Hertz(self.real.vehicle.hertz_constant_n_m15);
@@ -142,7 +137,8 @@ impl<'a> World<'a> {
     /// From 0.3–0.5 s before the first axle is near to 0.3–0.5 s after the last one was.
     fn journey(&self, speed_m_s: f64, random: &mut Random) -> Journey {
         let direction = self.real.traffic_direction.sign();
-        let (before, after) = (random.between(QUIET_S[0], QUIET_S[1]), random.between(QUIET_S[0], QUIET_S[1]));
+        let (before, after) =
+            (random.between(QUIET_S[0], QUIET_S[1]), random.between(QUIET_S[0], QUIET_S[1]));
         let length = AxlePattern::of_vehicle(&self.real.vehicle).length_m();
         Journey {
             direction,
@@ -199,7 +195,11 @@ impl<'a> World<'a> {
             .map(|m| MountResonance { frequency_hz: m.frequency_hz, damping_ratio: m.damping_ratio });
         if let Some(t) = effects.tonal {
             let phase_rad = random.between(0.0, std::f64::consts::TAU);
-            chain.tones.push(Tone { frequency_hz: t.frequency_hz, amplitude_m_s2: t.amplitude_m_s2, phase_rad });
+            chain.tones.push(Tone {
+                frequency_hz: t.frequency_hz,
+                amplitude_m_s2: t.amplitude_m_s2,
+                phase_rad,
+            });
         }
         if let Some(b) = effects.bias_step {
             for offset in AxlePattern::of_vehicle(&self.real.vehicle).offset_m.iter().step_by(2) {
@@ -229,7 +229,10 @@ impl<'a> World<'a> {
                 passage_id,
                 wheelset: i / 2,
                 side: if i % 2 == 0 { Side::Crossing } else { Side::Stock },
-                contact_force_n: grid.iter().map(|x| spline.as_ref().map_or(0.0, |s| s.at(*x).max(0.0))).collect(),
+                contact_force_n: grid
+                    .iter()
+                    .map(|x| spline.as_ref().map_or(0.0, |s| s.at(*x).max(0.0)))
+                    .collect(),
                 position_m: grid.clone(),
                 true_speed_m_s,
                 sleeper_displacement_m: (i == 0).then(|| ideal_displacement(record, rate)),
@@ -246,7 +249,9 @@ impl<'a> World<'a> {
         let count = ((last - first) / TRUTH_STEP_M).round().max(1.0) as usize + 1;
         let position_m: Vec<f64> = (0..count).map(|i| first + i as f64 * TRUTH_STEP_M).collect();
         let depth = |x: &f64| {
-            self.surface.paths[0].at(*x) + self.surface.crossing_roughness.at(*x) + g.scan_noise_m * random.normal()
+            self.surface.paths[0].at(*x)
+                + self.surface.crossing_roughness.at(*x)
+                + g.scan_noise_m * random.normal()
         };
         Scan { irregularity_m: position_m.iter().map(depth).collect(), position_m }
     }
@@ -354,12 +359,7 @@ fn surface(scenario: &Scenario, extent_m: [f64; 2]) -> Result<RunningSurface, Sc
 
 /// Defects of the two wheels of a wheelset; numbers are drawn whether the effect acts or not, so that everything else stays
 /// the same when it is switched on.
-fn wheel_defects(
-    effects: &Effects,
-    pair: &mut [crate::passage::Wheel],
-    radius_m: f64,
-    random: &mut Random,
-) {
+fn wheel_defects(effects: &Effects, pair: &mut [crate::passage::Wheel], radius_m: f64, random: &mut Random) {
     let [round, flat, hollow] = [random.unit(), random.unit(), random.unit()];
     let (phase_rad, at_m) =
         (random.between(0.0, std::f64::consts::TAU), random.between(0.0, std::f64::consts::TAU * radius_m));

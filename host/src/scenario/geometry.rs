@@ -31,9 +31,11 @@ pub fn crossing_path(
         crate::passage::in_range(what, value, range, "")?;
     }
     let x0 = geometry.transition_x_m;
-    Profile::of([x0 - geometry.wing_length_m, x0 + geometry.nose_length_m.max(geometry.wear_length_m)], GRID_M, |x| {
-        depth_m(geometry, x)
-    })
+    Profile::of(
+        [x0 - geometry.wing_length_m, x0 + geometry.nose_length_m.max(geometry.wear_length_m)],
+        GRID_M,
+        |x| depth_m(geometry, x),
+    )
 }
 
 /// Depth by the formula, m.
@@ -89,7 +91,10 @@ mod tests {
         assert!((path.at(0.7) - 0.3e-3).abs() < 1e-6, "half way up, (1/2)² is left");
         assert_eq!(path.at(2.0), 0.0);
         let bad = Geometry { exponent: f64::NAN, ..g };
-        assert!(matches!(crossing_path(&bad, None), Err(SimulationError::OutOfRange { what: "exponent", .. })));
+        assert!(matches!(
+            crossing_path(&bad, None),
+            Err(SimulationError::OutOfRange { what: "exponent", .. })
+        ));
     }
 
     #[test]

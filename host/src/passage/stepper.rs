@@ -35,7 +35,7 @@ impl TimeStep {
     /// Refuses steps and schemes that cannot work.
     pub fn check(&self) -> Result<(), SimulationError> {
         let (dt_s, theta) = (self.dt_s, self.theta);
-        if !(dt_s >= STEP_S[0] && dt_s <= STEP_S[1]) {
+        if !(STEP_S[0]..=STEP_S[1]).contains(&dt_s) {
             return Err(SimulationError::TimeStep { dt_s, min_s: STEP_S[0], max_s: STEP_S[1] });
         }
         if !(0.5..=1.0).contains(&theta) {

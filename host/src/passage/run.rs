@@ -27,7 +27,7 @@ pub struct Journey {
 /// State at t = 0.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Start {
-    /// Wheels roll onto an unloaded track, which takes them over within [`LEAD_IN_M`] from its end.
+    /// Wheels roll onto an unloaded track, which takes them over within `LEAD_IN_M` from its end.
     Quiet,
     /// Track and wheels in static equilibrium, then rolling at full speed at once.
     Static,

@@ -249,6 +249,10 @@ fn known_force(force_n: &[f64], samples: &std::ops::Range<usize>) -> Vec<f64> {
     brick_band(force_n, RATE_HZ, 0.0, LOW_PASS_HZ)[samples.clone()].to_vec()
 }
 
+fn kilonewtons(force_n: &[f64]) -> Vec<f64> {
+    force_n.iter().map(|f| 1e-3 * f).collect()
+}
+
 const REGION: std::ops::Range<usize> = 960..1201;
 
 fn rules(
@@ -297,10 +301,10 @@ fn evidence(bogie: &Bogie, noisy: &[Vec<f64>], passages: &Passages) -> Result<(E
     errors.coverage = inside as f64 / all as f64;
     let curves = Curves {
         x_caption: "position of the front wheel, m from the sensor",
-        y_caption: "contact force, N",
+        y_caption: "contact force of the first passage, kN",
         x: position[report].to_vec(),
-        expected: passages.force_n.first().map_or_else(Vec::new, |f| known_force(f, &REGION)),
-        found: fit.forces.first().map_or_else(Vec::new, |f| f.force_n.clone()),
+        expected: passages.force_n.first().map_or_else(Vec::new, |f| kilonewtons(&known_force(f, &REGION))),
+        found: fit.forces.first().map_or_else(Vec::new, |f| kilonewtons(&f.force_n)),
     };
     Ok((errors, curves))
 }

@@ -37,8 +37,8 @@ pub const SITE_SPEED: f64 = 1e-3;
 pub const DISPLACEMENT: f64 = 0.01;
 /// The node's force peaks against the host's from the same recordings, relative, median.
 pub const NODE_AGAINST_HOST: f64 = 0.03;
-/// Where the node sees an axle, against the host, m: the peak moves by as much, a third of what is allowed for it.
-pub const NODE_AXLE_M: f64 = 0.01;
+/// Where the node sees an axle, against the host, 90th percentile, m: its peak moves by as much.
+pub const NODE_AXLE_M: f64 = 0.03;
 
 /// Waveform error of the paper's rule over that of the evidence estimate at 1 % noise: measured 15 to 18.
 pub const PAPER_TO_EVIDENCE: f64 = 8.0;

@@ -73,8 +73,10 @@ pub fn package(site: &IdentifiedSite, done: &(dyn Fn() + Sync)) -> Result<Vec<u8
     let parts: Vec<Vec<Parts>> = speeds
         .par_iter()
         .map(|v| {
-            let bin =
-                kinds.iter().map(|kind| operator(site, &greens, kind, *v, &grid, &mean_force)).collect::<Result<_, _>>();
+            let bin = kinds
+                .iter()
+                .map(|kind| operator(site, &greens, kind, *v, &grid, &mean_force))
+                .collect::<Result<_, _>>();
             done();
             bin
         })

@@ -139,7 +139,14 @@ impl Estimator {
         };
         let mut covariance = noise_covariance(prior, len);
         let mut profile_response = Mat::zeros(len, mean.grids.len());
-        let context = Context { greens, interaction, static_force_n: geometry.static_force_n, mean_force: geometry.mean_force, prior, mean };
+        let context = Context {
+            greens,
+            interaction,
+            static_force_n: geometry.static_force_n,
+            mean_force: geometry.mean_force,
+            prior,
+            mean,
+        };
         let axles: Vec<AxleModel> = geometry
             .axle_offset_m
             .iter()

@@ -531,7 +531,7 @@ mod tests {
                 sleeper = sleeper.max(stepper.sensor_m(&state));
                 rail = rail.max(stepper.rail_m(&state, &read));
             }
-            let expected = reference(&format!("moving_fe_{name}"));
+            let expected = reference(&format!("moving_fe_full_{name}"));
             for (what, found, i) in [("sleeper", sleeper, 1), ("rail", rail, 2)] {
                 let ratio = found / largest(&column(&expected, i));
                 assert!((ratio - 1.0).abs() < 0.005, "{name}: {what} {ratio}");

@@ -48,3 +48,10 @@ pub const PAPER_TO_BETWEEN: f64 = 2.0;
 pub const HIGH_PASS_LOSS: f64 = 0.1;
 /// The same with the model below 3 Hz: measured 0.8-0.9 %.
 pub const MODEL_BELOW_3_HZ: f64 = 0.02;
+
+/// Evidence against the density by the covariance's own factor, relative to the sum of squares: rounding.
+pub const DENSITY: f64 = 1e-6;
+/// Linearity of the estimate, newtons: rounding of sums of some 10⁵ N.
+pub const LINEAR_N: f64 = 1e-4;
+/// Explained plus remaining variance against the prior's: rounding, amplified by the condition of the covariance.
+pub const VARIANCE: f64 = 1e-5;

@@ -218,7 +218,9 @@ pub fn run(progress: &dyn Progress) -> Result<Verification, VerifyError> {
         out.add(study());
         progress.step();
     }
-    out.add(passages::all(progress)?);
+    let (cases, tables) = passages::all(progress)?;
+    out.cases.extend(cases);
+    out.tables.extend(tables);
     Ok(out)
 }
 

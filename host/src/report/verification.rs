@@ -47,8 +47,9 @@ fn row(case: &Case) -> String {
 }
 
 fn table_html(table: &Table) -> String {
+    let side = |i: usize| if i == 0 { " style=\"text-align:left\"" } else { "" };
     let head: String =
-        table.columns.iter().map(|c| format!("<th style=\"text-align:left\">{}</th>", escape(c))).collect();
+        table.columns.iter().enumerate().map(|(i, c)| format!("<th{}>{}</th>", side(i), escape(c))).collect();
     let line = |row: &Vec<String>| {
         let cells: String = row
             .iter()

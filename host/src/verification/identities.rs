@@ -31,11 +31,8 @@ fn reciprocity() -> Case {
         );
         for h in &h {
             let scale = h[3][3].norm();
-            for i in 0..nodes.len() {
-                for j in 0..i {
-                    worst = worst.max((h[i][j] - h[j][i]).norm() / scale);
-                }
-            }
+            let pairs = (0..nodes.len()).flat_map(|i| (0..i).map(move |j| (i, j)));
+            worst = pairs.map(|(i, j)| (h[i][j] - h[j][i]).norm() / scale).fold(worst, f64::max);
         }
     }
     Case::new("reciprocity between rail nodes, 1-250 Hz", "Maxwell & Betti", "1").values(

@@ -28,6 +28,9 @@ const HIGH_PASS: HighPassSearch =
 /// Samples of static force assumed around the region where a force is low-passed.
 const SURROUND: usize = 512;
 
+/// Positions, metres, ascending, and the force there, newtons.
+type Profile = (Vec<f64>, Vec<f64>);
+
 /// How a chain gets from acceleration to force.
 #[derive(Clone, Copy, PartialEq)]
 pub(super) enum Chains {
@@ -151,12 +154,7 @@ impl<'a> DisplacementChain<'a> {
     }
 
     /// Force of every axle at the positions of its samples, ascending.
-    fn forces(
-        &self,
-        index: usize,
-        kind: Chains,
-        displacement: &[f64],
-    ) -> Result<Vec<(Vec<f64>, Vec<f64>)>, VerifyError> {
+    fn forces(&self, index: usize, kind: Chains, displacement: &[f64]) -> Result<Vec<Profile>, VerifyError> {
         let offsets = &self.identified.pattern.offset_m;
         let wheel = RegionWheel::new(self, index);
         let solver = RuleSolver::new(&wheel.model)?;
@@ -275,7 +273,7 @@ impl RegionWheel {
     }
 
     /// Positions of the samples and the values there, in ascending order of position.
-    fn ascending(&self, values: &[f64]) -> (Vec<f64>, Vec<f64>) {
+    fn ascending(&self, values: &[f64]) -> Profile {
         let mut pairs: Vec<(f64, f64)> = self
             .rows
             .clone()

@@ -1,8 +1,11 @@
 //! Green's functions of the track seen by the sensor, and the moving-load kernels built from them
 //! (paper, section 4.1, eq. 4-8; GKFM-FR).
 
+mod check;
 pub mod moving;
 pub mod moving_response;
+
+pub use check::{GreensError, try_kernel};
 
 use faer::c64;
 
@@ -169,4 +172,80 @@ fn impulse_responses(receptance: &[Vec<[c64; 2]>], gain: &[c64], sampling: Green
         }
     }
     out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::signal::rfft;
+    use crate::track::Mesh;
+    use crate::verification::reference::{SPEED_M_S, STIFF, WHEEL_N, ballast, panel};
+
+    const SAMPLING: GreensSampling = GreensSampling { rate_hz: 1000.0, len: 512, band_hz: [300.0, 400.0] };
+
+    #[test]
+    fn property_spectrum_of_the_response_is_the_receptance() {
+        let track = panel(STIFF, Mesh::default());
+        let greens = GreensFunctions::new(
+            &track,
+            &ballast(&track),
+            SAMPLING,
+            Quantity::Acceleration,
+            &Chain::Corrected,
+        );
+        let (node, f) = (40, 64.0 * SAMPLING.rate_hz / SAMPLING.len as f64);
+        let mut response = vec![0.0; SAMPLING.len];
+        greens.at(Side::Crossing, track.node_x_m[node], &mut response);
+        let found = rfft(&response)[64] / SAMPLING.rate_hz;
+        let direct = track.sensor_receptance(&[f], &ballast(&track)).crossing[0][node][0];
+        let expected = direct * -(std::f64::consts::TAU * f).powi(2);
+        assert!((found - expected).norm() < 1e-10 * expected.norm());
+        greens.at(Side::Crossing, 10.9, &mut response);
+        assert!(response.iter().all(|v| *v == 0.0), "nothing beyond the rails");
+    }
+
+    /// At 1 m/s the inertia of everything is negligible: the response follows the static influence line.
+    #[test]
+    fn analytic_slow_force_gives_the_influence_line() {
+        let track = panel(STIFF, Mesh::default());
+        let sampling = GreensSampling { rate_hz: 100.0, len: 128, band_hz: [30.0, 45.0] };
+        let greens = GreensFunctions::new(
+            &track,
+            &ballast(&track),
+            sampling,
+            Quantity::Displacement,
+            &Chain::Corrected,
+        );
+        let path = moving::WheelPath { direction: 1.0, speed_m_s: 1.0, time_at_origin_s: 6.0 };
+        let matrix = moving::kernel(&greens, Side::Crossing, &path, 5.0, 1200);
+        let statics = track.sensor_receptance(&[0.0], &ballast(&track));
+        for node in [30, 33, 36, 39] {
+            let x = track.node_x_m[node];
+            let row = ((path.time_at_origin_s + x / path.speed_m_s) * sampling.rate_hz).round() as usize;
+            let found: f64 = matrix.row(row).iter().sum::<f64>() * WHEEL_N;
+            let expected = statics.crossing[0][node][0].re * WHEEL_N;
+            assert!((found - expected).abs() < 0.01 * statics.crossing[0][36][0].re * WHEEL_N, "{x}");
+        }
+    }
+
+    #[test]
+    fn property_constant_force_is_the_sum_of_the_kernel() {
+        let track = panel(STIFF, Mesh::default());
+        let greens = GreensFunctions::new(
+            &track,
+            &ballast(&track),
+            SAMPLING,
+            Quantity::Displacement,
+            &Chain::Corrected,
+        );
+        let path = moving::WheelPath { direction: -1.0, speed_m_s: SPEED_M_S, time_at_origin_s: 0.25 };
+        let constant = moving::constant_force_response(&greens, Side::Stock, &path, 500);
+        let matrix = moving::kernel(&greens, Side::Stock, &path, 10.0, 500);
+        let peak = constant.iter().fold(0.0, |m: f64, v| m.max(v.abs()));
+        // Near the sensor, what happens beyond 10 m has died away.
+        for k in 200..300 {
+            let sum: f64 = matrix.row(k).iter().sum();
+            assert!((sum - constant[k]).abs() < 1e-3 * peak);
+        }
+    }
 }

@@ -4,6 +4,7 @@
 //! Time factor e^{+iωt}; displacement and force positive downwards.
 
 mod block;
+mod check;
 mod sleeper;
 
 use faer::c64;
@@ -13,6 +14,7 @@ use crate::beam;
 use crate::recording::Crossing;
 use crate::section::BeamSection;
 use block::{Block, Factor, ZERO, invert};
+pub use check::TrackError;
 pub use sleeper::{Sleeper, SleeperBeam, SleeperLayout};
 
 /// Element lengths of the mesh, metres.
@@ -356,4 +358,111 @@ struct System {
     factor: Factor<4>,
     sensor_load: [c64; 2],
     sensor_free: c64,
+}
+
+#[cfg(test)]
+mod tests {
+    use std::f64::consts::TAU;
+
+    use faer::Mat;
+    use faer::linalg::solvers::Solve as _;
+
+    use super::*;
+    use crate::verification::reference::{SOFT, ballast, panel_of_length};
+
+    /// Dynamic stiffness of the whole track in one dense matrix, nothing condensed: rails, then sleepers. Degrees of
+    /// freedom of rail r, node i: 2(r n + i); of sleeper s, node i: 4n + 2(s m + i).
+    fn full_system(track: &Track, sleeper_y_m: &[f64], section: &BeamSection, f_hz: f64) -> Mat<c64> {
+        let (n, m) = (track.node_x_m.len(), sleeper_y_m.len());
+        let omega = TAU * f_hz;
+        let mut a = Mat::<c64>::zeros(
+            4 * n + 2 * m * track.sleeper_x_m.len(),
+            4 * n + 2 * m * track.sleeper_x_m.len(),
+        );
+        let mut element = |first: usize, section: &BeamSection, length: f64| {
+            let (k, mass) = (beam::stiffness(section, length), beam::mass(section, length));
+            for i in 0..4 {
+                for j in 0..4 {
+                    a[(first + i, first + j)] += c64::new(k[i][j] - omega * omega * mass[i][j], 0.0);
+                }
+            }
+        };
+        for e in 0..n - 1 {
+            element(2 * e, track.element_section(Side::Crossing, e), track.step_m);
+            element(2 * (n + e), track.element_section(Side::Stock, e), track.step_m);
+        }
+        for s in 0..track.sleeper_x_m.len() {
+            for e in 0..m - 1 {
+                element(4 * n + 2 * (s * m + e), section, sleeper_y_m[e + 1] - sleeper_y_m[e]);
+            }
+        }
+        let bed = c64::new(30e6, omega * track.ballast_damping_ns_m2);
+        let pad = track.pad.dynamic(omega);
+        let at = |y: f64| sleeper_y_m.iter().position(|v| (v - y).abs() < 1e-9).unwrap();
+        for s in 0..track.sleeper_x_m.len() {
+            let dof = |i: usize| 4 * n + 2 * (s * m + i);
+            for i in 0..m {
+                let below = if i == 0 { 0.0 } else { sleeper_y_m[i] - sleeper_y_m[i - 1] };
+                let above = if i + 1 == m { 0.0 } else { sleeper_y_m[i + 1] - sleeper_y_m[i] };
+                a[(dof(i), dof(i))] += bed * (0.5 * (below + above));
+            }
+            for (rail, seat) in [(0, at(2.0)), (1, at(0.5))] {
+                let (r, d) = (2 * (rail * n + track.seat_node(s)), dof(seat));
+                a[(r, r)] += pad;
+                a[(d, d)] += pad;
+                a[(r, d)] -= pad;
+                a[(d, r)] -= pad;
+            }
+        }
+        a
+    }
+
+    #[test]
+    fn property_condensed_solution_equals_the_full_system() {
+        let mut track = panel_of_length(SOFT, Mesh { rail_step_m: 0.3, sleeper_step_m: 0.5 }, 5);
+        track.rail_halvings = 0;
+        let y: Vec<f64> = (0..6).map(|i| 0.5 * i as f64).collect();
+        let section = BeamSection {
+            bending_n_m2: 30e9 * 0.25 * 0.2f64.powi(3) / 12.0,
+            shear_n: 30e9 / 2.4 * 0.05 * 5.0 / 6.0,
+            mass_kg_m: 2400.0 * 0.05,
+            rotary_kg_m: 2400.0 * 0.25 * 0.2f64.powi(3) / 12.0,
+        };
+        let (n, m) = (track.node_x_m.len(), y.len());
+        let sensor = 4 * n + 2 * (track.sensor_sleeper * m + 4);
+        for f in [3.0, 60.0, 240.0] {
+            let a = full_system(&track, &y, &section, f);
+            let unit = Mat::from_fn(a.nrows(), 1, |i, _| c64::new(if i == sensor { 1.0 } else { 0.0 }, 0.0));
+            let x = a.partial_piv_lu().solve(&unit);
+            let found = track.sensor_receptance(&[f], &ballast(&track));
+            let scale = x[(sensor, 0)].norm();
+            for i in 0..n {
+                for dof in 0..2 {
+                    assert!((found.crossing[0][i][dof] - x[(2 * i + dof, 0)]).norm() < 1e-9 * scale);
+                    assert!((found.stock[0][i][dof] - x[(2 * (n + i) + dof, 0)]).norm() < 1e-9 * scale);
+                }
+            }
+            let point = track.sensor_point_receptance(&[f], &ballast(&track))[0];
+            assert!((point - x[(sensor, 0)]).norm() < 1e-9 * scale);
+        }
+    }
+
+    #[test]
+    fn property_halved_elements_are_those_of_a_finer_mesh() {
+        let f = [20.0, 250.0, 700.0];
+        let mut halved = panel_of_length(SOFT, Mesh { rail_step_m: 0.3, sleeper_step_m: 0.25 }, 9);
+        halved.rail_halvings = 1;
+        let mut fine = panel_of_length(SOFT, Mesh { rail_step_m: 0.15, sleeper_step_m: 0.25 }, 9);
+        fine.rail_halvings = 0;
+        let (a, b) =
+            (halved.sensor_receptance(&f, &ballast(&halved)), fine.sensor_receptance(&f, &ballast(&fine)));
+        for k in 0..f.len() {
+            for i in 0..halved.node_x_m.len() {
+                let (one, other) = (a.crossing[k][i], b.crossing[k][2 * i]);
+                for dof in 0..2 {
+                    assert!((one[dof] - other[dof]).norm() <= 1e-9 * a.crossing[k][8][dof].norm().max(1e-12));
+                }
+            }
+        }
+    }
 }

@@ -8,14 +8,17 @@ mod passages;
 mod receptance;
 pub mod reference;
 mod site;
+mod tolerance;
 
 pub use site::{SiteMethods, site_methods};
 
+use crate::greens::GreensError;
 use crate::inverse::displacement::DisplacementError;
 use crate::pipeline::PipelineError;
 use crate::progress::Progress;
 use crate::recording::truth::Truth;
 use crate::recording::{RecordingError, Site};
+use crate::track::TrackError;
 
 /// All checks in the order of the method.
 #[derive(Clone, Debug, Default)]
@@ -99,6 +102,12 @@ pub enum VerifyError {
     /// Force from displacement.
     #[error(transparent)]
     Displacement(#[from] DisplacementError),
+    /// Track of a reference case or a site.
+    #[error(transparent)]
+    Track(#[from] TrackError),
+    /// Green's functions of a reference case or a site.
+    #[error(transparent)]
+    Greens(#[from] GreensError),
     /// Site or truth.
     #[error(transparent)]
     Recording(#[from] RecordingError),

@@ -3,7 +3,7 @@
 use std::f64::consts::TAU;
 
 use super::reference::{self, WHEEL_N};
-use super::{Case, Curves, Table};
+use super::{Case, Curves, Table, tolerance};
 use crate::closed_form::{
     BeamCrossing, TwoLayer, oscillator_impulse, pinned_pinned_hz, point_receptance, winkler_euler_m,
     winkler_timoshenko_m,
@@ -53,10 +53,14 @@ pub fn winkler() -> Vec<Case> {
     let (_, timoshenko) = deflections(rail());
     vec![
         Case::new("static wheel on Winkler foundation, Euler rail", "Hetényi (1946), ch. 1", "m")
-            .values(expected[0], found[0], 1e-4)
+            .values(expected[0], found[0], tolerance::WINKLER_EULER)
             .with(curves),
         Case::new("static wheel on Winkler foundation, Timoshenko rail", "Fourier transform, closed", "m")
-            .values(winkler_timoshenko_m(WHEEL_N, foundation, &rail()), timoshenko[0], 1e-3),
+            .values(
+                winkler_timoshenko_m(WHEEL_N, foundation, &rail()),
+                timoshenko[0],
+                tolerance::WINKLER_TIMOSHENKO,
+            ),
     ]
 }
 
@@ -77,7 +81,10 @@ pub fn two_layer() -> Vec<Case> {
         let expected: Vec<f64> =
             f.iter().map(|f| point_receptance(&rail(), layers.dynamic(TAU * f), TAU * f).norm()).collect();
         // On sleepers the wheel finds another stiffness over a sleeper than between two: their mean is compared.
-        for (what, spacing, tolerance) in [("dense supports", 0.05, 2e-3), ("sleepers", d, 0.04)] {
+        for (what, spacing, tolerance) in [
+            ("dense supports", 0.05, tolerance::TWO_LAYER_DENSE),
+            ("sleepers", d, tolerance::TWO_LAYER_SLEEPERS),
+        ] {
             let track = reference::continuous(rail(), layers, spacing);
             let found = mean_receptance(&track, layers.ballast_n_m2, &f);
             cases.push(
@@ -140,10 +147,10 @@ pub fn pinned_pinned() -> (Vec<Case>, Table) {
         Case::new("pinned\u{2013}pinned frequency, 12 elements per bay", "Timoshenko (1921)", "Hz").values(
             exact,
             exact * (1.0 + errors[4]),
-            2e-3,
+            tolerance::PINNED_PINNED,
         ),
         Case::new("pinned\u{2013}pinned frequency, order of convergence", "4 and 8 elements per bay", "1")
-            .values(2.0, order, 0.1),
+            .values(2.0, order, tolerance::ORDER),
     ];
     (cases, table)
 }
@@ -184,7 +191,7 @@ pub fn moving_on_simple_beam() -> Case {
         "Frýba (1972), ch. 1.3, modal sum; relative to the largest deflection",
         "1",
     )
-    .values(0.0, largest_difference(&expected, &found), 5e-3)
+    .values(0.0, largest_difference(&expected, &found), tolerance::SIMPLE_BEAM)
     .with(Curves {
         x_caption: "position of the wheel, m",
         y_caption: "deflection under the wheel, m",
@@ -223,7 +230,7 @@ pub fn oscillator() -> Case {
         "damped oscillator; relative to the largest displacement",
         "1",
     )
-    .values(0.0, largest_difference(&expected, &found), 2e-3)
+    .values(0.0, largest_difference(&expected, &found), tolerance::OSCILLATOR)
     .with(Curves { x_caption: "time, s", y_caption: "displacement, m/(N s)", x, expected, found })
 }
 

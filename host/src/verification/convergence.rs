@@ -3,7 +3,7 @@
 use faer::c64;
 
 use super::reference::{self, SOFT, SPEED_M_S, STIFF, WHEEL_N};
-use super::{Case, Table};
+use super::{Case, Table, tolerance};
 use crate::greens::moving::{WheelPath, constant_force_response, kernel};
 use crate::greens::{Chain, GreensFunctions, GreensSampling, Quantity};
 use crate::signal::{CubicSpline, brick_band, rms};
@@ -98,12 +98,12 @@ pub fn mesh() -> (Vec<Case>, Table) {
         Case::new("mesh 0.3 m / 0.25 m, displacement of a passage", "mesh 0.05 m", "1").values(
             0.0,
             errors[2][0],
-            5e-3,
+            tolerance::MESH[0],
         ),
         Case::new("mesh 0.3 m / 0.25 m, acceleration below 250 Hz", "mesh 0.05 m", "1").values(
             0.0,
             errors[2][1],
-            2e-2,
+            tolerance::MESH[1],
         ),
     ];
     (cases, table)
@@ -140,7 +140,13 @@ pub fn sampling() -> (Vec<Case>, Table) {
         Case::new(&format!("sampling at 1 kHz, {what} of a passage"), "20 kHz", "1")
             .values(0.0, value, tolerance)
     };
-    (vec![case("displacement", last[0], 2e-3), case("acceleration", last[1], 1e-2)], table)
+    (
+        vec![
+            case("displacement", last[0], tolerance::SAMPLING[0]),
+            case("acceleration", last[1], tolerance::SAMPLING[1]),
+        ],
+        table,
+    )
 }
 
 /// Number of sleepers.
@@ -159,7 +165,7 @@ pub fn length() -> (Vec<Case>, Table) {
         if n == 37 {
             let case = |what: &str, e: f64| {
                 Case::new(&format!("37 sleepers are enough, {what} of a passage"), "101 sleepers", "1")
-                    .values(0.0, e, 2e-3)
+                    .values(0.0, e, tolerance::LENGTH)
             };
             cases = vec![case("displacement", e[0]), case("acceleration", e[1])];
         }
@@ -201,7 +207,13 @@ pub fn interpolation() -> (Vec<Case>, Table) {
         let name = format!("Green's functions interpolated from 0.3 m to 1 cm, to {band}");
         Case::new(&name, "elements of 1 cm", "1").values(0.0, value, tolerance)
     };
-    (vec![case("100 Hz", used[0], 2e-3), case("250 Hz", used[1], 1e-2)], table)
+    (
+        vec![
+            case("100 Hz", used[0], tolerance::INTERPOLATION[0]),
+            case("250 Hz", used[1], tolerance::INTERPOLATION[1]),
+        ],
+        table,
+    )
 }
 
 fn crossing_track(pads: reference::PadCase, rail_step_m: f64) -> Track {

@@ -4,8 +4,8 @@ use std::f64::consts::TAU;
 
 use faer::c64;
 
-use super::Case;
 use super::reference::{self, BALLAST_N_M2, SOFT, STIFF};
+use super::{Case, tolerance};
 use crate::track::{Mesh, Side, Track};
 
 /// Frequencies of the identities, Hz.
@@ -38,7 +38,11 @@ fn reciprocity() -> Case {
             }
         }
     }
-    Case::new("reciprocity between rail nodes, 1-250 Hz", "Maxwell & Betti", "1").values(0.0, worst, 1e-9)
+    Case::new("reciprocity between rail nodes, 1-250 Hz", "Maxwell & Betti", "1").values(
+        0.0,
+        worst,
+        tolerance::RECIPROCITY,
+    )
 }
 
 /// Power put in by a harmonic force equals the power that pads and ballast turn into heat.
@@ -52,8 +56,11 @@ fn energy() -> Case {
             worst = worst.max((taken / given - 1.0).abs());
         }
     }
-    Case::new("power into the track against heat in pads and ballast", "conservation of energy", "1")
-        .values(0.0, worst, 1e-8)
+    Case::new("power into the track against heat in pads and ballast", "conservation of energy", "1").values(
+        0.0,
+        worst,
+        tolerance::BALANCE,
+    )
 }
 
 /// Mean power (W) of a unit force at a rail node, and the heat in all pads and half sleepers' ballast.
@@ -91,5 +98,9 @@ fn equilibrium() -> Case {
     let below = BALLAST_N_M2 * 1.25;
     let series = track.pad.stiffness * below / (track.pad.stiffness + below);
     let carried: f64 = h[0][0].iter().map(|w| series * w.re).sum();
-    Case::new("static force carried by the ballast per newton", "equilibrium", "1").values(1.0, carried, 1e-8)
+    Case::new("static force carried by the ballast per newton", "equilibrium", "1").values(
+        1.0,
+        carried,
+        tolerance::BALANCE,
+    )
 }

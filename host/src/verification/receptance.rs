@@ -3,7 +3,7 @@
 use faer::c64;
 
 use super::reference::{self, MID, PadCase, SOFT, STIFF, reference};
-use super::{Case, Curves, VerifyError};
+use super::{Case, Curves, VerifyError, tolerance};
 use crate::track::{Mesh, Side, Track};
 
 type File = (&'static str, &'static str);
@@ -69,7 +69,10 @@ fn t1_against(
         expected: between[..high].to_vec(),
         found: found_between[..high].to_vec(),
     };
-    Ok(vec![case(0..low, "to 200 Hz", 1e-3).with(curves), case(low..high, "250 and 300 Hz", 1e-2)])
+    Ok(vec![
+        case(0..low, "to 200 Hz", tolerance::T1_LOW).with(curves),
+        case(low..high, "250 and 300 Hz", tolerance::T1_HIGH),
+    ])
 }
 
 /// Two-rail panel with the mesh of the published script: magnitude and phase, 1 … 1500 Hz.
@@ -106,8 +109,7 @@ pub fn panel() -> Result<Vec<Case>, VerifyError> {
                     "sparse finite elements (scipy), 13 frequencies to 1500 Hz, complex, relative",
                     "1",
                 )
-                // The file holds seven digits and phases to 10⁻⁴ degrees.
-                .values(0.0, error, 1e-5),
+                .values(0.0, error, tolerance::PANEL),
             );
         }
     }

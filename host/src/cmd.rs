@@ -10,6 +10,7 @@ pub mod node;
 mod output;
 mod progress;
 mod verify;
+mod simulate;
 
 use std::process::ExitCode;
 
@@ -35,6 +36,7 @@ const EXAMPLES: &str = "Examples:
 enum Command {
     Demo(demo::DemoArgs),
     Analyse(analyse::AnalyseArgs),
+    Simulate(simulate::SimulateArgs),
     Kernel(kernel::KernelArgs),
     Node(node::NodeArgs),
     Verify(verify::VerifyArgs),
@@ -47,6 +49,7 @@ pub fn main() -> ExitCode {
     let result = match Cli::parse().command {
         Command::Demo(args) => args.run(),
         Command::Analyse(args) => args.run(),
+        Command::Simulate(args) => args.run(),
         Command::Kernel(args) => args.run(),
         Command::Node(args) => args.run(),
         Command::Verify(args) => args.run(),

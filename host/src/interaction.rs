@@ -53,7 +53,8 @@ impl Interaction {
         let contact = 1.0 / (1.5 * self.hertz_constant_n_m15.powf(2.0 / 3.0) * static_force_n.cbrt());
         for j in 0..n {
             for k in 0..n {
-                compliance[(k, j)] += self.wheel[(k + len - j) % len] * dt;
+                // The response is periodic; a slow train has more positions than the period.
+                compliance[(k, j)] += self.wheel[(k as i64 - j as i64).rem_euclid(len as i64) as usize] * dt;
             }
             compliance[(j, j)] += contact;
         }

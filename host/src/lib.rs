@@ -8,6 +8,8 @@ pub mod closed_form;
 pub mod beam;
 pub mod track;
 pub mod vehicle;
+pub mod passage;
+pub mod scenario;
 pub mod ballast;
 pub mod greens;
 pub mod interaction;

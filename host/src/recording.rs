@@ -105,6 +105,16 @@ pub fn read_site(dir: &Path) -> Result<Site, RecordingError> {
     Ok(Site { crossing, passages, scan, skipped })
 }
 
+/// Reads and checks the description in a file that may hold more than that.
+pub(crate) fn read_crossing_file(file: &Path) -> Result<Crossing, RecordingError> {
+    crossing_file::read_crossing(file)
+}
+
+/// Reads and checks a laser scan.
+pub(crate) fn read_scan_file(file: &Path) -> Result<Scan, RecordingError> {
+    scan::read_scan(file)
+}
+
 /// How the recordings of a site are stored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum Format {

@@ -3,6 +3,7 @@
 //!
 //! Time factor e^{+iωt}; displacement and force positive downwards.
 
+mod benchmark;
 mod block;
 mod check;
 mod sleeper;

@@ -23,13 +23,13 @@ pub enum Sleeper {
 /// Finite-element beam along the sleeper, on a Winkler bed.
 #[derive(Clone, Debug)]
 pub struct SleeperBeam {
-    section: BeamSection,
-    damping_stiffness_proportional_s: f64,
+    pub(crate) section: BeamSection,
+    pub(crate) damping_stiffness_proportional_s: f64,
     /// Node positions along the sleeper, metres.
-    y_m: Vec<f64>,
-    crossing_seat: usize,
-    stock_seat: usize,
-    sensor: usize,
+    pub(crate) y_m: Vec<f64>,
+    pub(crate) crossing_seat: usize,
+    pub(crate) stock_seat: usize,
+    pub(crate) sensor: usize,
 }
 
 /// Where things sit on a sleeper, metres from its end beyond the stock rail.

@@ -1,0 +1,106 @@
+//! Ballast under one sleeper: Kelvin bed with the nonlinear laws that a real one shows.
+
+/// Winkler bed per metre of sleeper. Displacement w is positive downwards, zero in the unloaded track.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Support {
+    /// Tangent stiffness at first contact k, N/m².
+    pub stiffness_n_m2: f64,
+    /// Damping c, Ns/m².
+    pub damping_ns_m2: f64,
+    /// Ballast that moves with the sleeper, kg/m.
+    pub mass_kg_m: f64,
+    /// Departure from the linear bed.
+    pub law: SupportLaw,
+}
+
+/// Force per metre of sleeper as a function of the displacement beyond the gap.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum SupportLaw {
+    /// F = k w + c ẇ, both ways.
+    Linear,
+    /// Contact only: with w' = w − gap, F = max(k w' + c ẇ, −preload) while w' > −preload/k, else −preload: the bed pushes,
+    /// it never pulls.
+    Unilateral {
+        /// Void under the unloaded sleeper, m.
+        gap_m: f64,
+        /// Pressure of the unloaded sleeper on the bed, N/m; zero where there is a gap.
+        preload_n_m: f64,
+    },
+    /// F = k w (1 + w/w₀) + c ẇ for w > 0.
+    Quadratic {
+        /// Displacement w₀ at which the secant stiffness has doubled, m.
+        doubling_m: f64,
+    },
+    /// F = k w + (factor − 1) k max(0, w − from) + c ẇ.
+    Bilinear {
+        /// Displacement at which the second stiffness begins, m.
+        from_m: f64,
+        /// Second over first stiffness.
+        factor: f64,
+    },
+}
+
+impl Support {
+    /// Linear bed.
+    pub fn linear(stiffness_n_m2: f64, damping_ns_m2: f64) -> Self {
+        Self { stiffness_n_m2, damping_ns_m2, mass_kg_m: 0.0, law: SupportLaw::Linear }
+    }
+
+    /// Stiffness and damping that the constant system matrix holds. A bed that opens is left out altogether, so that an
+    /// open one needs no correction; a bed that stiffens is in with its first stiffness.
+    pub(super) fn implicit(&self) -> (f64, f64) {
+        match self.law {
+            SupportLaw::Unilateral { .. } => (0.0, 0.0),
+            _ => (self.stiffness_n_m2, self.damping_ns_m2),
+        }
+    }
+
+    /// Force per metre on the sleeper beyond [`Support::implicit`], positive downwards, N/m.
+    pub(super) fn correction(&self, w_m: f64, rate_m_s: f64) -> f64 {
+        let k = self.stiffness_n_m2;
+        match self.law {
+            SupportLaw::Linear => 0.0,
+            SupportLaw::Unilateral { gap_m, preload_n_m } => {
+                let elastic = k * (w_m - gap_m);
+                let force = if elastic > -preload_n_m {
+                    (elastic + self.damping_ns_m2 * rate_m_s).max(-preload_n_m)
+                } else {
+                    -preload_n_m
+                };
+                -force
+            }
+            SupportLaw::Quadratic { doubling_m } => {
+                let w = w_m.max(0.0);
+                -k * w * w / doubling_m
+            }
+            SupportLaw::Bilinear { from_m, factor } => -(factor - 1.0) * k * (w_m - from_m).max(0.0),
+        }
+    }
+
+    /// Whether the bed follows F = k w + c ẇ.
+    pub fn is_linear(&self) -> bool {
+        self.law == SupportLaw::Linear
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn analytic_laws_at_hand_picked_points() {
+        let bed = |law| Support { stiffness_n_m2: 30e6, damping_ns_m2: 1e5, mass_kg_m: 0.0, law };
+        let void = bed(SupportLaw::Unilateral { gap_m: 1e-3, preload_n_m: 0.0 });
+        assert_eq!(void.correction(0.9e-3, 1.0), 0.0, "open: no damping either");
+        assert!((void.correction(1.5e-3, 0.0) + 15e3).abs() < 1e-6);
+        assert_eq!(void.correction(1.1e-3, -1.0), 0.0, "damping may cancel contact but not pull");
+        let resting = bed(SupportLaw::Unilateral { gap_m: 0.0, preload_n_m: 1500.0 });
+        assert_eq!(resting.correction(-1e-3, 0.0), 1500.0, "lifted: the missing reaction of the weight");
+        assert!((resting.correction(-1e-5, 0.0) - 300.0).abs() < 1e-9);
+        let quadratic = bed(SupportLaw::Quadratic { doubling_m: 1e-3 });
+        assert!((quadratic.correction(1e-3, 0.0) + 30e3).abs() < 1e-6);
+        assert_eq!(quadratic.correction(-1e-3, 0.0), 0.0);
+        let bilinear = bed(SupportLaw::Bilinear { from_m: 0.5e-3, factor: 3.0 });
+        assert!((bilinear.correction(1e-3, 0.0) + 30e3).abs() < 1e-6);
+    }
+}

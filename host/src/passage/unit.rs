@@ -1,0 +1,376 @@
+//! Vehicles: bogies (two rigid wheelsets with heave and roll, frame with heave, pitch and roll, linear primary suspension)
+//! or single wheelsets. The car body is a constant force: what it adds to the wheels is their static force.
+
+use nalgebra::{SMatrix, SVector};
+
+use super::error::{SimulationError, in_range};
+use super::stepper::TimeStep;
+use super::surface::{OutOfRoundness, WheelFlat};
+use crate::recording::Vehicle;
+use crate::vehicle::AxlePattern;
+
+/// Degrees of freedom of a unit: z₁, φ₁, z₂, φ₂ of the wheelsets, z, θ, φ of the frame.
+const DOF: usize = 7;
+/// Wheels of a unit: crossing and stock side of the front, then of the rear wheelset.
+pub(super) const CONTACTS: usize = 4;
+type Matrix = SMatrix<f64, DOF, DOF>;
+type Vector = SVector<f64, DOF>;
+
+/// One wheel.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Wheel {
+    /// Static force, N.
+    pub static_force_n: f64,
+    /// Which of the paths through the crossing it takes (crossing side only).
+    pub path: usize,
+    /// Factor on the depth of the path.
+    pub depth_factor: f64,
+    /// The wheel meets the path this much later in +x, m.
+    pub shift_m: f64,
+    /// Waves around the wheel.
+    pub out_of_roundness: Vec<OutOfRoundness>,
+    /// Flat spot.
+    pub flat: Option<WheelFlat>,
+}
+
+impl Wheel {
+    /// Round nominal wheel.
+    pub fn nominal(static_force_n: f64) -> Self {
+        Self { static_force_n, depth_factor: 1.0, ..Self::default() }
+    }
+}
+
+/// Masses and suspension of a bogie.
+#[derive(Clone, Debug, PartialEq)]
+#[allow(missing_docs)]
+pub struct Bogie {
+    /// Front and rear.
+    pub wheelset_mass_kg: [f64; 2],
+    pub wheelset_roll_inertia_kg_m2: [f64; 2],
+    pub frame_mass_kg: f64,
+    pub frame_pitch_inertia_kg_m2: f64,
+    pub frame_roll_inertia_kg_m2: f64,
+    pub stiffness_per_axle_box_n_m: f64,
+    pub damping_per_axle_box_ns_m: f64,
+    pub axle_box_half_distance_m: f64,
+    pub contact_half_distance_m: f64,
+    pub axle_spacing_m: f64,
+}
+
+impl Bogie {
+    /// As the site description has it.
+    pub fn of_vehicle(v: &Vehicle) -> Self {
+        Self {
+            wheelset_mass_kg: [v.wheelset_mass_kg; 2],
+            wheelset_roll_inertia_kg_m2: [v.wheelset_roll_inertia_kg_m2; 2],
+            frame_mass_kg: v.bogie_frame_mass_kg,
+            frame_pitch_inertia_kg_m2: v.bogie_frame_pitch_inertia_kg_m2,
+            frame_roll_inertia_kg_m2: v.bogie_frame_roll_inertia_kg_m2,
+            stiffness_per_axle_box_n_m: v.primary_stiffness_per_axle_box_n_m,
+            damping_per_axle_box_ns_m: v.primary_damping_per_axle_box_ns_m,
+            axle_box_half_distance_m: v.axle_box_half_distance_m,
+            contact_half_distance_m: v.contact_half_distance_m,
+            axle_spacing_m: v.axle_spacing_m,
+        }
+    }
+}
+
+/// Equations of one bogie or wheelset.
+#[derive(Clone, Debug, PartialEq)]
+pub struct VehicleUnit {
+    mass: Vector,
+    stiffness: Matrix,
+    damping: Matrix,
+    /// Contact displacement per degree of freedom.
+    contacts: Vec<Vector>,
+    /// Distance of each axle behind the first axle of the train, m.
+    axle_offset_m: Vec<f64>,
+}
+
+impl VehicleUnit {
+    /// A bogie whose front axle is `offset_m` behind the first axle of the train.
+    pub fn bogie(b: &Bogie, offset_m: f64) -> Result<Self, SimulationError> {
+        let masses = b.wheelset_mass_kg.iter().chain([&b.frame_mass_kg]);
+        let inertias = b.wheelset_roll_inertia_kg_m2.iter();
+        for value in masses.chain(inertias).chain([&b.frame_pitch_inertia_kg_m2, &b.frame_roll_inertia_kg_m2])
+        {
+            in_range("mass or inertia of a bogie", *value, [1.0, 1e6], "kg or kg m2")?;
+        }
+        in_range("primary stiffness", b.stiffness_per_axle_box_n_m, [0.0, 1e9], "N/m")?;
+        in_range("primary damping", b.damping_per_axle_box_ns_m, [0.0, 1e7], "Ns/m")?;
+        let ([m1, m2], [j1, j2]) = (b.wheelset_mass_kg, b.wheelset_roll_inertia_kg_m2);
+        let mass = Vector::from([
+            m1,
+            j1,
+            m2,
+            j2,
+            b.frame_mass_kg,
+            b.frame_pitch_inertia_kg_m2,
+            b.frame_roll_inertia_kg_m2,
+        ]);
+        let mut boxes = Matrix::zeros();
+        for (axle, lever) in [0.5, -0.5].into_iter().enumerate() {
+            for y in [b.axle_box_half_distance_m, -b.axle_box_half_distance_m] {
+                let mut stretch = Vector::zeros();
+                (stretch[2 * axle], stretch[2 * axle + 1]) = (-1.0, -y);
+                (stretch[4], stretch[5], stretch[6]) = (1.0, lever * b.axle_spacing_m, y);
+                boxes += stretch * stretch.transpose();
+            }
+        }
+        Ok(Self {
+            mass,
+            stiffness: boxes * b.stiffness_per_axle_box_n_m,
+            damping: boxes * b.damping_per_axle_box_ns_m,
+            contacts: [0, 1].into_iter().flat_map(|axle| contacts(axle, b.contact_half_distance_m)).collect(),
+            axle_offset_m: vec![offset_m, offset_m + b.axle_spacing_m],
+        })
+    }
+
+    /// A wheelset under a constant force, without suspension.
+    pub fn wheelset(
+        mass_kg: f64,
+        roll_inertia_kg_m2: f64,
+        half_distance_m: f64,
+        offset_m: f64,
+    ) -> Result<Self, SimulationError> {
+        in_range("mass of a wheelset", mass_kg, [1.0, 1e6], "kg")?;
+        in_range("roll inertia of a wheelset", roll_inertia_kg_m2, [1.0, 1e6], "kg m2")?;
+        let mut mass = Vector::repeat(1.0);
+        (mass[0], mass[1]) = (mass_kg, roll_inertia_kg_m2);
+        Ok(Self {
+            mass,
+            stiffness: Matrix::zeros(),
+            damping: Matrix::zeros(),
+            contacts: contacts(0, half_distance_m).to_vec(),
+            axle_offset_m: vec![offset_m],
+        })
+    }
+
+    /// Distance of the axle of contact `i` behind the first axle of the train, m.
+    pub fn contact_offset_m(&self, contact: usize) -> f64 {
+        self.axle_offset_m[contact / 2]
+    }
+
+    /// Number of wheels.
+    pub fn wheels(&self) -> usize {
+        self.contacts.len()
+    }
+}
+
+fn contacts(axle: usize, half_distance_m: f64) -> [Vector; 2] {
+    [half_distance_m, -half_distance_m].map(|y| {
+        let mut jacobian = Vector::zeros();
+        (jacobian[2 * axle], jacobian[2 * axle + 1]) = (1.0, y);
+        jacobian
+    })
+}
+
+/// Train: units front to rear, and their wheels in the order of the units' contacts.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Train {
+    /// Bogies or wheelsets.
+    pub units: Vec<VehicleUnit>,
+    /// Two per axle: crossing side, stock side.
+    pub wheels: Vec<Wheel>,
+    /// m.
+    pub wheel_radius_m: f64,
+}
+
+impl Train {
+    /// Nominal train of a site; `static_force_n` on every wheel.
+    pub fn of_vehicle(vehicle: &Vehicle, static_force_n: f64) -> Result<Self, SimulationError> {
+        let pattern = AxlePattern::of_vehicle(vehicle);
+        let bogie = Bogie::of_vehicle(vehicle);
+        Ok(Self {
+            units: pattern
+                .offset_m
+                .iter()
+                .step_by(2)
+                .map(|offset| VehicleUnit::bogie(&bogie, *offset))
+                .collect::<Result<_, _>>()?,
+            wheels: vec![Wheel::nominal(static_force_n); 2 * pattern.offset_m.len()],
+            wheel_radius_m: vehicle.wheel_radius_m,
+        })
+    }
+
+    /// Refuses trains whose parts do not fit together.
+    pub fn check(&self, paths: usize) -> Result<(), SimulationError> {
+        let axles = self.units.iter().map(|u| u.axle_offset_m.len()).sum();
+        if self.wheels.len() != 2 * axles {
+            return Err(SimulationError::Wheels { axles, wheels: self.wheels.len() });
+        }
+        for (wheel, w) in self.wheels.iter().enumerate() {
+            in_range("static wheel force", w.static_force_n, [1.0, 1e6], "N")?;
+            if w.path >= paths {
+                return Err(SimulationError::Path { path: w.path, wheel, paths });
+            }
+        }
+        in_range("wheel radius", self.wheel_radius_m, [0.1, 2.0], "m")
+    }
+
+    /// Distance from the first to the last axle, m.
+    pub fn length_m(&self) -> f64 {
+        self.units.iter().flat_map(|u| &u.axle_offset_m).fold(0.0, |a, b| a.max(*b))
+    }
+}
+
+/// A unit factorised for a time step.
+pub(super) struct UnitStepper {
+    unit: VehicleUnit,
+    inverse: Matrix,
+    /// Contact displacement rate per contact force, both ways.
+    pub compliance: [[f64; CONTACTS]; CONTACTS],
+    step: TimeStep,
+}
+
+/// Motion of a unit, relative to its static state on level ground.
+#[derive(Clone, Debug)]
+pub(super) struct UnitState {
+    x: Vector,
+    v: Vector,
+    rate: Vector,
+}
+
+impl UnitStepper {
+    pub fn new(unit: &VehicleUnit, step: TimeStep) -> Result<Self, SimulationError> {
+        let shares = step.shares();
+        let effective = Matrix::from_diagonal(&(unit.mass * shares.mass))
+            + unit.damping * shares.damping
+            + unit.stiffness * shares.stiffness;
+        let inverse = effective
+            .cholesky()
+            .ok_or(SimulationError::Singular { what: "effective", place: "a bogie".into() })?
+            .inverse();
+        let mut compliance = [[0.0; CONTACTS]; CONTACTS];
+        for (i, a) in unit.contacts.iter().enumerate() {
+            for (j, b) in unit.contacts.iter().enumerate() {
+                compliance[i][j] = a.dot(&(inverse * b));
+            }
+        }
+        Ok(Self { unit: unit.clone(), inverse, compliance, step })
+    }
+
+    /// At rest with the wheelsets at given contact heights (m, positive down) and the frame following them.
+    pub fn at_rest(&self, contact_m: &[f64]) -> UnitState {
+        let mut x = Vector::zeros();
+        let a = self.unit.contacts[0][1];
+        for (axle, pair) in contact_m.chunks_exact(2).enumerate() {
+            x[2 * axle] = 0.5 * (pair[0] + pair[1]);
+            x[2 * axle + 1] = 0.5 * (pair[0] - pair[1]) / a;
+        }
+        if self.unit.axle_offset_m.len() == 2 {
+            let spacing = self.unit.axle_offset_m[1] - self.unit.axle_offset_m[0];
+            x[4] = 0.5 * (x[0] + x[2]);
+            x[5] = (x[0] - x[2]) / spacing;
+            x[6] = 0.5 * (x[1] + x[3]);
+        }
+        UnitState { x, v: Vector::zeros(), rate: Vector::zeros() }
+    }
+
+    /// Begins a step: rates without contact forces, under the static forces of the wheels.
+    #[inline(always)]
+    pub fn begin(&self, state: &mut UnitState, static_n: &[f64]) {
+        let mut load =
+            self.unit.mass.component_mul(&state.v) * self.step.shares().mass - self.unit.stiffness * state.x;
+        for (contact, force) in self.unit.contacts.iter().zip(static_n) {
+            load += contact * *force;
+        }
+        state.rate = self.inverse * load;
+    }
+
+    /// Height of contact `i` at t + θ dt without contact forces, m.
+    #[inline(always)]
+    pub fn free_m(&self, state: &UnitState, contact: usize) -> f64 {
+        let ahead = self.step.theta * self.step.dt_s;
+        self.unit.contacts[contact].dot(&(state.x + state.rate * ahead))
+    }
+
+    /// The equations.
+    pub fn unit(&self) -> &VehicleUnit {
+        &self.unit
+    }
+
+    /// Ends the step under the contact forces (N, upwards on the wheels).
+    #[inline(always)]
+    pub fn finish(&self, state: &mut UnitState, force_n: &[f64]) {
+        let mut load = Vector::zeros();
+        for (contact, force) in self.unit.contacts.iter().zip(force_n) {
+            load -= contact * *force;
+        }
+        state.rate += self.inverse * load;
+        state.v += (state.rate - state.v) / self.step.theta;
+        state.x += state.rate * self.step.dt_s;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn analytic_wheelset_bounces_on_its_contact_springs() {
+        // 1340 kg on two springs of 1 MN/m, let go 1 mm above equilibrium. The scheme's own frequency is known:
+        // tan(ω' dt/2) = ω dt/2.
+        let (mass, k, step) = (1340.0, 1e6, TimeStep { dt_s: 1e-3 / 4.0, theta: 0.5 });
+        let unit = VehicleUnit::wheelset(mass, 700.0, 0.75, 0.0).unwrap();
+        let stepper = UnitStepper::new(&unit, step).unwrap();
+        let mut state = stepper.at_rest(&[-1e-3, -1e-3]);
+        let omega = (2.0 * k / mass).sqrt();
+        let discrete = 2.0 / step.dt_s * (0.5 * omega * step.dt_s).atan();
+        let ahead = 0.5 * step.dt_s;
+        for n in 1..2000 {
+            stepper.begin(&mut state, &[0.0, 0.0]);
+            // Force of each spring at the middle of the step: k (free − ahead · (c₀₀ + c₀₁) F).
+            let compliance = ahead * (stepper.compliance[0][0] + stepper.compliance[0][1]);
+            let force = k * stepper.free_m(&state, 0) / (1.0 + k * compliance);
+            stepper.finish(&mut state, &[force, force]);
+            let expected = -1e-3 * (discrete * f64::from(n) * step.dt_s).cos();
+            assert!((state.x[0] - expected).abs() < 1e-9, "{n}: {} {expected}", state.x[0]);
+        }
+    }
+
+    #[test]
+    fn analytic_bogie_on_rigid_ground_keeps_its_static_forces() {
+        let unit = VehicleUnit::bogie(
+            &Bogie {
+                wheelset_mass_kg: [1340.0; 2],
+                wheelset_roll_inertia_kg_m2: [700.0; 2],
+                frame_mass_kg: 2800.0,
+                frame_pitch_inertia_kg_m2: 2200.0,
+                frame_roll_inertia_kg_m2: 1900.0,
+                stiffness_per_axle_box_n_m: 1.1e6,
+                damping_per_axle_box_ns_m: 12e3,
+                axle_box_half_distance_m: 1.0,
+                contact_half_distance_m: 0.75,
+                axle_spacing_m: 2.9,
+            },
+            0.0,
+        )
+        .unwrap();
+        // Rigid motions (heave, pitch, roll of everything together) stretch no spring.
+        for motion in [
+            [1.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0],
+            [1.45, 0.0, -1.45, 0.0, 0.0, 1.0, 0.0],
+            [0.0, 1.0, 0.0, 1.0, 0.0, 0.0, 1.0],
+        ] {
+            let motion = Vector::from(motion);
+            let force = unit.stiffness * motion;
+            let sign = unit.stiffness * Vector::from([1.45, 0.0, -1.45, 0.0, 0.0, -1.0, 0.0]);
+            assert!(force.amax() < 1e-6 || sign.amax() < 1e-6, "{force}");
+        }
+        let stepper = UnitStepper::new(&unit, TimeStep::default()).unwrap();
+        let mut state = stepper.at_rest(&[0.0; 4]);
+        let q = [70e3, 80e3, 75e3, 65e3];
+        for _ in 0..100 {
+            stepper.begin(&mut state, &q);
+            stepper.finish(&mut state, &q);
+        }
+        assert!(state.x.amax() < 1e-15);
+    }
+
+    #[test]
+    fn property_impossible_masses_are_refused() {
+        let refused = VehicleUnit::wheelset(-5.0, 700.0, 0.75, 0.0).unwrap_err();
+        assert!(matches!(refused, SimulationError::OutOfRange { value: -5.0, .. }));
+    }
+}

@@ -296,3 +296,18 @@ fn now_us() -> u64 {
     let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     u64::try_from(since.as_micros()).unwrap_or(u64::MAX)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    proptest::proptest! {
+        /// Any reply of any node, also of a later version or a broken one, is an answer or an error.
+        #[test]
+        fn property_arbitrary_replies_never_panic(body in proptest::collection::vec(0u8..12, 0..200)) {
+            let payload = [&[PROTOCOL_VERSION, 7], body.as_slice()].concat();
+            let _ = interpret(7, &payload, &mut upload_progress);
+            let _ = interpret(7, &body, &mut Some);
+        }
+    }
+}

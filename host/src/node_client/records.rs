@@ -194,4 +194,21 @@ pub(super) mod tests {
         assert_eq!(flag_names(flag::CLIPPED | flag::NOT_RECORDED), ["clipped", "not-recorded"]);
         assert_eq!(flag_names(flag::NOT_RECORDED << 1), [""; 0], "a flag without name");
     }
+
+    proptest::proptest! {
+        #[test]
+        fn property_arbitrary_bytes_never_panic(bytes in proptest::collection::vec(proptest::num::u8::ANY, 0..600)) {
+            let (_, good, fault) = parse_records(&bytes);
+            assert!(good == bytes.len() || fault.is_some());
+        }
+
+        #[test]
+        fn property_spoilt_records_are_noticed(at in 0_usize..10_000, with in 1_u8..) {
+            let mut bytes = [encoded(0, 12), encoded(1, 12)].concat();
+            let at = at % bytes.len();
+            bytes[at] ^= with;
+            let (records, good, fault) = parse_records(&bytes);
+            assert!(good <= at && records.len() < 2 && fault.is_some());
+        }
+    }
 }

@@ -4,7 +4,7 @@ use rayon::prelude::*;
 
 use crate::identify::IdentifiedSite;
 use crate::inverse::hierarchy::{SitePassage, kinds};
-use crate::inverse::{Estimator, GroupGeometry, InverseError};
+use crate::inverse::{Estimator, Excitation, GroupGeometry, InverseError, Running, TrackModel};
 
 /// Forces are low-passed here, Hz (paper, section 4.2): the displacement holds hardly any energy above.
 pub const LOW_PASS_HZ: f64 = 250.0;
@@ -37,16 +37,17 @@ pub fn wheel_forces(site: &IdentifiedSite, index: usize) -> Result<Vec<WheelForc
     let mut forces = Vec::new();
     for kind in kinds(&site.pattern) {
         let geometry = GroupGeometry {
-            direction: site.direction,
-            speed_m_s: speed,
+            running: Running {
+                direction: site.direction,
+                speed_m_s: speed,
+                static_force_n: passage.static_force_n,
+            },
             axle_offset_m: &kind.offsets.own,
             train_offset_m: &kind.offsets.train,
-            static_force_n: passage.static_force_n,
-            mean_force: None,
         };
-        let estimator =
-            Estimator::new(&site.greens, &geometry, &site.prior, &site.interaction, &site.profile)?;
-        let gains = estimator.gains(&position_m, LOW_PASS_HZ);
+        let model = TrackModel { greens: &site.greens, excitation: Excitation::Force };
+        let estimator = Estimator::new(&model, &geometry, &site.prior, &site.profile)?;
+        let gains = estimator.gains(&position_m, LOW_PASS_HZ, &site.profile);
         for group in &kind.groups {
             let start =
                 passage.timing.axle_s(site.pattern.offset_m[group.first]) - estimator.before as f64 / rate;
@@ -58,7 +59,7 @@ pub fn wheel_forces(site: &IdentifiedSite, index: usize) -> Result<Vec<WheelForc
                     wheelset: group.first + axle,
                     position_m: position_m.clone(),
                     force_n: gain.apply(&residual),
-                    sd_n: gain.sd_n.iter().map(|s| s * site.misfit_ratio).collect(),
+                    sd_n: gain.sd_n.clone(),
                 });
             }
         }

@@ -1,12 +1,11 @@
 //! A site from recordings to calibrated model: speeds, ballast, axle times, common force profile.
 
 use crate::ballast::BallastParameters;
-use crate::ballast::evidence::{EvidenceFit, EvidenceProblem};
+use crate::ballast::evidence::{Calibration, EvidenceFit, EvidenceProblem, TEMPERATURE, realign};
 use crate::ballast::quasi_static::{QuasiStatic, QuasiStaticFit};
 use crate::greens::{Chain, GreensFunctions, GreensSampling, Quantity};
-use crate::interaction::Interaction;
-use crate::inverse::hierarchy::{SitePassage, SitePosterior};
-use crate::inverse::{CommonProfile, InverseError, Prior, ProfileGrids};
+use crate::inverse::hierarchy::{Moved, SiteModel, SitePassage, SitePosterior};
+use crate::inverse::{CommonProfile, Excitation, InverseError, Prior, ProfileGrids, TrackModel};
 use crate::progress::Progress;
 use crate::reconstruct::{Recording, SpeedSearch, Timing, estimate_speed};
 use crate::recording::Site;
@@ -50,26 +49,29 @@ pub struct IdentifiedSite<'s> {
     pub quasi_static: QuasiStaticFit,
     /// Calibration by evidence.
     pub ballast: EvidenceFit,
-    /// Prior with the hyper-parameters that the evidence prefers.
+    /// State of the calibration: ballast, common irregularity, prior at the low sampling.
+    pub calibration: Calibration,
+    /// Prior of the forces at the full band.
     pub prior: Prior,
     /// Green's functions of the calibrated track.
     pub greens: GreensFunctions,
-    /// Wheel-track interaction of the calibrated track.
-    pub interaction: Interaction,
-    /// Irregularity that all wheels share.
+    /// Force deviation that all wheels share.
     pub profile: CommonProfile,
-    /// Ratio of the residuals to what the model allows, 1 for a perfect model: intervals are widened by it.
-    pub misfit_ratio: f64,
+    /// Posterior at the full band.
+    pub posterior: SitePosterior,
 }
 
 /// Passages used for the search over ballast; all are used for everything else.
 const CALIBRATION_PASSAGES: usize = 8;
+/// Passages used for the hyper-parameters.
+const HYPER_PASSAGES: usize = 4;
 /// Start of the quasi-static fit: nominal outer stiffness, somewhat less under the crossing.
 const NOMINAL: BallastParameters = BallastParameters { p1_n_m2: 30e6, p2_n_m2: 25e6, p3: 0.4 };
-/// Spacing of the common profile on the two rails, metres; half the shortest wavelength in the band at 45 m/s.
+/// Spacing of the common force profile on the two rails, metres; half the shortest wavelength in the band at 45 m/s.
 const PROFILE_STEP_M: (f64, f64) = (0.05, 0.08);
-/// Rounds of re-linearising the axle positions.
-const ALIGN_ROUNDS: usize = 2;
+/// Position uncertainty left after the calibration, metres: common and per passage; relative error of the speed.
+const SHIFT_SD_M: (f64, f64) = (0.01, 0.01);
+const SPEED_SD: f64 = 1e-4;
 
 /// Runs the identification.
 pub fn identify<'s>(site: &'s Site, progress: &dyn Progress) -> Result<IdentifiedSite<'s>, IdentifyError> {
@@ -101,27 +103,12 @@ pub fn identify<'s>(site: &'s Site, progress: &dyn Progress) -> Result<Identifie
             static_force_n: static_force_n[i],
         })
         .collect();
-    let prior = Prior::starting(direction);
-    let mut problem = EvidenceProblem {
-        track: &track,
-        direction,
-        pattern: &pattern,
-        prior: prior.clone(),
-        vehicle: &crossing.vehicle,
-    };
-    let ballast = calibrate(&mut problem, &quasi_static.parameters, &mut passages, progress)?;
-    let distribution = ballast.parameters.distribution(track.sleeper_x_m.len(), track.sensor_sleeper);
-    let greens = GreensFunctions::new(
-        &track,
-        &distribution,
-        GreensSampling::wide(),
-        Quantity::Acceleration,
-        &Chain::Corrected,
-    );
-    let interaction =
-        Interaction::new(&track, &distribution, &crossing.vehicle, prior.half_m, GreensSampling::wide());
-    let prior = Prior::each_wheel_for_itself(direction);
-    let profile = CommonProfile::zero(ProfileGrids::new(prior.half_m, PROFILE_STEP_M.0, PROFILE_STEP_M.1));
+    let problem =
+        EvidenceProblem { track: &track, direction, pattern: &pattern, vehicle: &crossing.vehicle };
+    let (calibration, ballast) = calibrate(&problem, &quasi_static.parameters, &mut passages, progress)?;
+    let greens = wide_greens(&track, &ballast.parameters);
+    let prior = Prior::common_force(direction);
+    let posterior = common_force(&track, &ballast, &greens, direction, &pattern, &prior, &mut passages, progress)?;
     let timings = passages.iter().map(|p| p.timing).collect();
     Ok(IdentifiedSite {
         site,
@@ -129,16 +116,27 @@ pub fn identify<'s>(site: &'s Site, progress: &dyn Progress) -> Result<Identifie
         static_force_n,
         quasi_static,
         ballast,
+        calibration,
         prior,
-        profile,
-        misfit_ratio: 1.0,
+        profile: posterior.profile.clone(),
+        posterior,
         track,
         pattern,
         direction,
         recordings,
         greens,
-        interaction,
     })
+}
+
+fn wide_greens(track: &Track, ballast: &BallastParameters) -> GreensFunctions {
+    let distribution = ballast.distribution(track.sleeper_x_m.len(), track.sensor_sleeper);
+    GreensFunctions::new(
+        track,
+        &distribution,
+        GreensSampling::wide(),
+        Quantity::Acceleration,
+        &Chain::Corrected,
+    )
 }
 
 fn speeds(
@@ -158,41 +156,74 @@ fn speeds(
         .collect()
 }
 
-/// Moves the axle times of all passages to their posterior mean.
-fn realign(passages: &mut [SitePassage], posterior: &SitePosterior) {
-    for (passage, shift) in passages.iter_mut().zip(&posterior.shift_m) {
-        passage.timing.first_axle_s += shift / passage.timing.speed_m_s;
-    }
+/// Every n-th passage, `count` of them or a few less.
+fn spread_out<'p>(passages: &[SitePassage<'p>], count: usize) -> Vec<SitePassage<'p>> {
+    passages.iter().step_by(passages.len().div_ceil(count).max(1)).copied().collect()
 }
 
 fn calibrate(
-    problem: &mut EvidenceProblem,
+    problem: &EvidenceProblem,
     quasi_static: &BallastParameters,
     passages: &mut [SitePassage],
     progress: &dyn Progress,
-) -> Result<EvidenceFit, IdentifyError> {
+) -> Result<(Calibration, EvidenceFit), IdentifyError> {
     progress.begin("ballast by evidence", 4);
     // The quasi-static fit errs towards a soft centre (the dynamic force leaks into its band).
     let start = BallastParameters {
         p2_n_m2: (1.5 * quasi_static.p2_n_m2).max(0.3 * quasi_static.p1_n_m2),
-        p3: 0.5,
+        p3: 0.4,
         ..*quasi_static
     };
-    for _ in 0..ALIGN_ROUNDS {
-        let posterior = problem.posterior(&start, passages)?;
+    let mut state = Calibration::starting(start, problem.direction);
+    let mut some = spread_out(passages, CALIBRATION_PASSAGES);
+    problem.converge(&mut state, &mut some, 3)?;
+    progress.step();
+    state.prior = problem.refined(&state, &spread_out(&some, HYPER_PASSAGES))?;
+    progress.step();
+    problem.converge(&mut state, &mut some, 8)?;
+    progress.step();
+    let fit = problem.converge(&mut state, passages, 3)?;
+    progress.step();
+    Ok((state, fit))
+}
+
+/// Force profile that all wheels share at the full band, with the axle times.
+fn common_force(
+    track: &Track,
+    ballast: &EvidenceFit,
+    greens: &GreensFunctions,
+    direction: f64,
+    pattern: &AxlePattern,
+    prior: &Prior,
+    passages: &mut [SitePassage],
+    progress: &dyn Progress,
+) -> Result<SitePosterior, IdentifyError> {
+    progress.begin("common force profile", 2);
+    let mean_speed = crate::signal::mean(&passages.iter().map(|p| p.timing.speed_m_s).collect::<Vec<_>>());
+    let grids = ProfileGrids::force(prior.half_m, PROFILE_STEP_M.0, PROFILE_STEP_M.1, mean_speed);
+    let mut profile = CommonProfile::zero(grids);
+    let model = |greens| TrackModel { greens, excitation: Excitation::Force };
+    let _ = (track, ballast);
+    for round in 0..2 {
+        let site = SiteModel {
+            model: model(greens),
+            moved: Vec::<Moved>::new(),
+            direction,
+            pattern,
+            prior,
+            profile: &profile,
+            common_shift_sd_m: SHIFT_SD_M.0,
+            passage_shift_sd_m: SHIFT_SD_M.1,
+            speed_sd: SPEED_SD,
+            temperature: TEMPERATURE,
+        };
+        let posterior = site.posterior(passages)?;
+        progress.step();
+        if round == 1 {
+            return Ok(posterior);
+        }
         realign(passages, &posterior);
+        profile = posterior.profile;
     }
-    progress.step();
-    let every = passages.len().div_ceil(CALIBRATION_PASSAGES).max(1);
-    let some: Vec<SitePassage> = passages.iter().step_by(every).copied().collect();
-    problem.prior = problem.refined(&start, &some)?;
-    progress.step();
-    let fit = problem.fit(&[start], &some)?;
-    progress.step();
-    for _ in 0..ALIGN_ROUNDS {
-        let posterior = problem.posterior(&fit.parameters, passages)?;
-        realign(passages, &posterior);
-    }
-    progress.step();
-    Ok(fit)
+    Err(IdentifyError::NoPassage)
 }

@@ -35,17 +35,23 @@ impl Interaction {
         half_m: f64,
         sampling: GreensSampling,
     ) -> Self {
-        let rail = |side| RailGreens::new(track, ballast_n_m2, side, half_m, sampling);
         Self {
-            rails: [rail(Side::Crossing), rail(Side::Stock)],
+            rails: RailGreens::of_both_rails(track, ballast_n_m2, half_m, sampling),
             static_compliance: static_compliance(track, ballast_n_m2, half_m),
             wheel: wheel_response(vehicle, sampling),
             hertz_constant_n_m15: vehicle.hertz_constant_n_m15,
         }
     }
 
-    /// Force deviation per irregularity at the positions of a wheel, one per time step: N/m, square.
-    pub fn force_per_irregularity(&self, side: Side, position_m: &[f64], static_force_n: f64) -> Mat<f64> {
+    /// Force deviations at the positions of a wheel, one per time step, for irregularities there: `irregularity_m` has one
+    /// column per case; the result likewise, in newtons per unit of the columns.
+    pub fn follow(
+        &self,
+        side: Side,
+        position_m: &[f64],
+        static_force_n: f64,
+        irregularity_m: &Mat<f64>,
+    ) -> Mat<f64> {
         let rail = &self.rails[index(side)];
         let mut compliance = rail.kernel(position_m);
         let (n, len) = (position_m.len(), self.wheel.len());
@@ -58,8 +64,7 @@ impl Interaction {
             }
             compliance[(j, j)] += contact;
         }
-        let inverse = compliance.partial_piv_lu().solve(Mat::<f64>::identity(n, n));
-        -inverse
+        -compliance.partial_piv_lu().solve(irregularity_m)
     }
 
     /// Variation of the deflection under the static load along the positions, metres, mean removed: a constant

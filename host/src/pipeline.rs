@@ -111,13 +111,13 @@ fn distribution(identified: &IdentifiedSite) -> Vec<f64> {
 
 fn rail_greens(identified: &IdentifiedSite) -> RailGreens {
     let sampling = identified.greens.sampling;
-    RailGreens::new(
+    let [crossing, _] = RailGreens::of_both_rails(
         &identified.track,
         &distribution(identified),
-        Side::Crossing,
         identified.prior.half_m,
         sampling,
-    )
+    );
+    crossing
 }
 
 fn displacement_greens(identified: &IdentifiedSite) -> GreensFunctions {

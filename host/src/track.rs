@@ -222,6 +222,27 @@ impl Track {
             .collect()
     }
 
+    /// Receptances of each rail between all pairs of neighbouring nodes `first` … `last`, m/N:
+    /// `[frequency][crossing, stock][i][j − i]` for j ≥ i, nodes counted from `first`.
+    pub fn rail_receptances(
+        &self,
+        frequency_hz: &[f64],
+        ballast_n_m2: &[f64],
+        first: usize,
+        last: usize,
+    ) -> Vec<[Vec<Vec<c64>>; 2]> {
+        frequency_hz
+            .par_iter()
+            .map(|f| {
+                let system = self.system(std::f64::consts::TAU * f, ballast_n_m2);
+                let blocks = system.factor.inverse_blocks(first, last);
+                [0, 2].map(|dof| {
+                    blocks.iter().map(|row| row.iter().map(|b| b[dof][dof]).collect()).collect()
+                })
+            })
+            .collect()
+    }
+
     /// Static deflection of both rails at a node under unit forces on both rails there, m/N: `[crossing, stock]`.
     pub fn static_deflection_under_axle(&self, ballast_n_m2: &[f64], nodes: &[usize]) -> Vec<[f64; 2]> {
         let system = self.system(0.0, ballast_n_m2);

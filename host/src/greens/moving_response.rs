@@ -6,7 +6,7 @@ use rayon::prelude::*;
 
 use super::GreensSampling;
 use crate::signal::{irfft, taper};
-use crate::track::{Side, Track};
+use crate::track::Track;
 
 /// Impulse responses between the nodes of one rail around the crossing.
 #[derive(Clone, Debug)]
@@ -26,43 +26,28 @@ const LEAD: usize = 16;
 const MEMORY_S: f64 = 0.15;
 
 impl RailGreens {
-    /// Responses of one rail within `half_m` of x = 0.
-    pub fn new(
+    /// Responses of the crossing and the stock rail within `half_m` of x = 0.
+    pub fn of_both_rails(
         track: &Track,
         ballast_n_m2: &[f64],
-        side: Side,
         half_m: f64,
         sampling: GreensSampling,
-    ) -> Self {
-        let nodes: Vec<usize> = (0..track.node_x_m.len())
-            .filter(|i| track.node_x_m[*i].abs() <= half_m + 1.01 * track.step_m)
-            .collect();
-        let frequencies = sampling.frequencies_hz();
-        let receptance = track.rail_receptance(&frequencies, ballast_n_m2, side, &nodes, &nodes);
-        let n = nodes.len();
-        let lags = LEAD + (MEMORY_S * sampling.rate_hz) as usize;
-        let pairs: Vec<(usize, usize)> = (0..n).flat_map(|i| (0..=i).map(move |j| (i, j))).collect();
-        let [pass, stop] = sampling.band_hz;
-        let series: Vec<Vec<f64>> = pairs
-            .par_iter()
-            .map(|(loaded, read)| {
-                let mut spectrum = vec![c64::new(0.0, 0.0); sampling.len / 2 + 1];
-                for (k, f) in frequencies.iter().enumerate() {
-                    spectrum[k] = receptance[k][*loaded][*read] * (taper(*f, pass, stop) * sampling.rate_hz);
-                }
-                let full = irfft(&spectrum, sampling.len);
-                (0..lags).map(|i| full[(i + sampling.len - LEAD) % sampling.len]).collect()
-            })
-            .collect();
-        let mut response = vec![0.0; lags * n * n];
-        for ((loaded, read), values) in pairs.iter().zip(series) {
-            for (lag, value) in values.into_iter().enumerate() {
-                response[(lag * n + loaded) * n + read] = value;
-                response[(lag * n + read) * n + loaded] = value;
+    ) -> [Self; 2] {
+        let last_node = track.node_x_m.len() - 1;
+        let within = |x: f64| x.abs() <= half_m + 1.01 * track.step_m;
+        let first = track.node_x_m.iter().position(|x| within(*x)).unwrap_or(0);
+        let last = track.node_x_m.iter().rposition(|x| within(*x)).unwrap_or(last_node);
+        let receptance = track.rail_receptances(&sampling.frequencies_hz(), ballast_n_m2, first, last);
+        [0, 1].map(|rail| {
+            let rows: Vec<&[Vec<c64>]> = receptance.iter().map(|r| r[rail].as_slice()).collect();
+            Self {
+                sampling,
+                first_x_m: track.node_x_m[first],
+                step_m: track.step_m,
+                n_nodes: last - first + 1,
+                response: impulse_responses(&rows, last - first + 1, sampling),
             }
-        }
-        let first_x_m = nodes.first().map_or(0.0, |i| track.node_x_m[*i]);
-        Self { sampling, first_x_m, step_m: track.step_m, n_nodes: n, response }
+        })
     }
 
     /// Kernel of the moving response: deflection at the wheel (m) per force (N) at the same positions x, one per time
@@ -107,4 +92,32 @@ impl RailGreens {
         ];
         Some((i - 1, w))
     }
+}
+
+/// `[lag + LEAD][loaded][read]` from the upper triangles of the receptances of every frequency.
+fn impulse_responses(receptance: &[&[Vec<c64>]], n: usize, sampling: GreensSampling) -> Vec<f64> {
+    let lags = LEAD + (MEMORY_S * sampling.rate_hz) as usize;
+    let [pass, stop] = sampling.band_hz;
+    let gain: Vec<f64> =
+        sampling.frequencies_hz().iter().map(|f| taper(*f, pass, stop) * sampling.rate_hz).collect();
+    let pairs: Vec<(usize, usize)> = (0..n).flat_map(|i| (i..n).map(move |j| (i, j))).collect();
+    let series: Vec<Vec<f64>> = pairs
+        .par_iter()
+        .map(|(i, j)| {
+            let mut spectrum = vec![c64::new(0.0, 0.0); sampling.len / 2 + 1];
+            for ((value, rows), g) in spectrum.iter_mut().zip(receptance).zip(&gain) {
+                *value = rows[*i][j - i] * *g;
+            }
+            let full = irfft(&spectrum, sampling.len);
+            (0..lags).map(|k| full[(k + sampling.len - LEAD) % sampling.len]).collect()
+        })
+        .collect();
+    let mut response = vec![0.0; lags * n * n];
+    for ((loaded, read), values) in pairs.iter().zip(series) {
+        for (lag, value) in values.into_iter().enumerate() {
+            response[(lag * n + loaded) * n + read] = value;
+            response[(lag * n + read) * n + loaded] = value;
+        }
+    }
+    response
 }

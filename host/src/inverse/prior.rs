@@ -70,9 +70,22 @@ impl Prior {
         }
     }
 
-    /// Every wheel stands for itself: a wide prior of its force, nothing shared. For the force estimate at the full band,
-    /// where the linearised interaction of wheel and track is not accurate enough to carry knowledge from one wheel to
-    /// the next.
+    /// For the force estimate at the full band, where the linearised interaction of wheel and track is not accurate
+    /// enough to carry knowledge from one wheel to the next: the wheels share a force profile. Newtons.
+    pub fn common_force(direction: f64) -> Self {
+        Self {
+            common: Spread { region: 25e3, outside: 6e3, stock: 6e3 },
+            own: Spread { region: 4e3, outside: 0.7e3, stock: 0.4e3 },
+            slow_n: 1.5e3,
+            correlation_m: 0.09,
+            noise_m_s2: 0.06,
+            half_m: 4.5,
+            window_m: 4.0,
+            ..Self::starting(direction)
+        }
+    }
+
+    /// Every wheel stands for itself: a wide prior of its force, nothing shared.
     pub fn each_wheel_for_itself(direction: f64) -> Self {
         Self {
             own: Spread { region: 25e3, outside: 4e3, stock: 4e3 },
@@ -87,8 +100,8 @@ impl Prior {
         self.along(&self.own, side, x_m)
     }
 
-    /// Standard deviation of the common irregularity at `x_m`, metres.
-    pub fn irregularity_sd_m(&self, side: Side, x_m: f64) -> f64 {
+    /// Standard deviation of the common profile at `x_m`, in its unit.
+    pub fn common_sd(&self, side: Side, x_m: f64) -> f64 {
         self.along(&self.common, side, x_m)
     }
 
@@ -105,7 +118,8 @@ impl Prior {
     /// correlation lengths between neighbours, its slow part limited to [`Self::slow_n`].
     pub fn covariance(&self, positions_m: &[f64], sd_n: &[f64], step: f64) -> Mat<f64> {
         let n = positions_m.len();
-        let free = Mat::from_fn(n, n, |i, j| sd_n[i] * sd_n[j] * matern_at(i.abs_diff(j), step));
+        let correlation: Vec<f64> = (0..n).map(|lag| matern_at(lag, step)).collect();
+        let free = Mat::from_fn(n, n, |i, j| sd_n[i] * sd_n[j] * correlation[i.abs_diff(j)]);
         let slow = slow_amplitudes(positions_m, 2.0 * self.half_m);
         let cross = &free * &slow;
         let k = slow.ncols();

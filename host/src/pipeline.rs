@@ -111,13 +111,12 @@ fn distribution(identified: &IdentifiedSite) -> Vec<f64> {
 
 fn rail_greens(identified: &IdentifiedSite) -> RailGreens {
     let sampling = identified.greens.sampling;
-    let [crossing, _] = RailGreens::of_both_rails(
+    RailGreens::of_crossing_rail(
         &identified.track,
         &distribution(identified),
         identified.prior.half_m,
         sampling,
-    );
-    crossing
+    )
 }
 
 fn displacement_greens(identified: &IdentifiedSite) -> GreensFunctions {

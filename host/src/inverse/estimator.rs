@@ -7,8 +7,9 @@ use faer::{Accum, Mat, MatRef, Par};
 
 use super::Prior;
 use super::profile::{CommonProfile, WheelClass};
-use super::wheel::{Running, SIDES, TrackModel, Wheel, mean_deviation_n, passing};
+use super::wheel::{Basis, Running, SIDES, TrackModel, Wheel, mean_deviations_n, passing};
 use crate::greens::moving::{PassingResponse, own_clock_kernel, own_positions};
+use crate::track::Side;
 
 /// Time after the last wheel has left the reach during which its response is still used, seconds.
 const DECAY_S: f64 = 0.03;
@@ -198,8 +199,7 @@ impl Estimator {
 
     fn axle_gain(&self, axle: &AxleModel, low_pass: &Mat<f64>, common: &CommonProfile) -> AxleGain {
         let (m, n, g) = (axle.mean_n.len(), self.len(), low_pass.nrows());
-        let crossing = &self.wheel.sides[0];
-        let whitened = low_pass * &crossing.root_n;
+        let whitened = low_pass * &self.wheel.root_n[0];
         let load_variance = self.prior.load_sd.powi(2);
         let static_force_n = self.running.static_force_n;
         // Covariance between the forces on the grid and the window.
@@ -216,15 +216,14 @@ impl Estimator {
                 (prior + load_variance * static_force_n.powi(2) - explained).max(0.0).sqrt()
             })
             .collect();
-        let mut profile = Mat::zeros(g, common.grids.len());
-        let direct = low_pass * &crossing.basis;
-        for (part, weight) in common.grids.parts_of(SIDES[0], axle.class) {
-            for c in 0..direct.ncols() {
-                for i in 0..g {
-                    profile[(i, part.first + c)] = weight * direct[(i, c)];
-                }
+        let mut profile = match &self.wheel.basis {
+            Basis::Full(contacts) => low_pass * &contacts[usize::from(!axle.class.leading)][0],
+            Basis::Splines([crossing, _]) => {
+                let mut all = Mat::zeros(g, common.grids.len());
+                add_parts(&mut all, &(low_pass * crossing), common, SIDES[0], axle.class);
+                all
             }
-        }
+        };
         matmul(&mut profile, Accum::Add, &gain, &self.profile_response, -1.0, Par::Seq);
         AxleGain { gain, base_n, sd_n, profile }
     }
@@ -291,10 +290,8 @@ impl Expectation {
             prior.half_m,
             model.greens.sampling.rate_hz,
         );
-        let deviations = [0, 1].map(|axle| {
-            let class = common.grids.class(running.speed_m_s, axle);
-            (first, mean_deviation_n(model, running, common, class, &position_m))
-        });
+        let deviations =
+            mean_deviations_n(model, running, common, &position_m).map(|wheel| (first, wheel));
         let of = |deviation| passing(model, running, deviation, window.len);
         Self {
             window,
@@ -356,23 +353,40 @@ fn add_axle(
     let reach_m = wheel.position_m.iter().fold(0.0, |m: f64, x| m.max(x.abs()));
     let greens = model.greens.delayed(samples - whole, reach_m);
     let mut crossing = Mat::zeros(0, 0);
-    for (side, on) in SIDES.into_iter().zip(&wheel.sides) {
+    for (rail, side) in SIDES.into_iter().enumerate() {
         let first = wheel.first_sample + whole as i64;
         let kernel = own_clock_kernel(&greens, side, &wheel.position_m, first, len);
-        let response = &kernel * &on.basis;
-        for (part, weight) in common.grids.parts_of(side, class) {
-            for c in 0..response.ncols() {
-                let target = profile_response.col_as_slice_mut(part.first + c);
-                add_scaled(target, response.col_as_slice(c), weight);
+        match &wheel.basis {
+            Basis::Full(contacts) => {
+                let basis = &contacts[usize::from(!class.leading)][rail];
+                matmul(profile_response.as_mut(), Accum::Add, &kernel, basis, 1.0, Par::Seq);
+            }
+            Basis::Splines(splines) => {
+                add_parts(profile_response, &(&kernel * &splines[rail]), common, side, class);
             }
         }
-        let shaped = &kernel * &on.root_n;
+        let shaped = &kernel * &wheel.root_n[rail];
         add_square(covariance, &shaped);
         if side == SIDES[0] {
             crossing = shaped;
         }
     }
     crossing
+}
+
+/// Adds the response to the splines of one rail to all parts of the profile on it.
+fn add_parts(
+    target: &mut Mat<f64>,
+    response: &Mat<f64>,
+    common: &CommonProfile,
+    side: Side,
+    class: WheelClass,
+) {
+    for (part, weight) in common.grids.parts_of(side, class) {
+        for c in 0..response.ncols() {
+            add_scaled(target.col_as_slice_mut(part.first + c), response.col_as_slice(c), weight);
+        }
+    }
 }
 
 fn add_scaled(target: &mut [f64], column: &[f64], scale: f64) {

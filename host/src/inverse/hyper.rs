@@ -17,8 +17,8 @@ const HYPERS: [Hyper; 9] = [
     Hyper { get: |p| &mut p.slow_n, range: [50.0, 20e3] },
     Hyper { get: |p| &mut p.common.region, range: [0.05e-3, 10e-3] },
     Hyper { get: |p| &mut p.common.outside, range: [0.01e-3, 2e-3] },
-    Hyper { get: |p| &mut p.common.stock, range: [0.01e-3, 2e-3] },
-    Hyper { get: |p| &mut p.own.stock, range: [50.0, 20e3] },
+    Hyper { get: |p| &mut p.common.stock, range: [0.01e-3, 0.15e-3] },
+    Hyper { get: |p| &mut p.own.stock, range: [50.0, 1.0e3] },
     Hyper { get: |p| &mut p.correlation_s, range: [0.7e-3, 5e-3] },
 ];
 

@@ -24,6 +24,10 @@ pub struct Prior {
     pub correlation_s: f64,
     /// Correlation length of the common profile (Matérn 5/2), metres.
     pub correlation_m: f64,
+    /// Dip of the wheels' path from wing rail to nose: standard deviation inside the region, metres.
+    pub dip_m: f64,
+    /// Correlation length of the dip, metres.
+    pub dip_correlation_m: f64,
     /// Standard deviation of the deviation's amplitude at wavelengths longer than 2.3 m, newtons: the
     /// unsprung mass cannot produce more, because it follows the slow variation of the deflection.
     pub slow_n: f64,
@@ -61,6 +65,8 @@ impl Prior {
             edge_m: 0.25,
             correlation_s: 2e-3,
             correlation_m: 0.15,
+            dip_m: 1e-3,
+            dip_correlation_m: 0.4,
             slow_n: 0.5e3,
             load_sd: 0.02,
             noise_m_s2: 0.03,
@@ -103,6 +109,11 @@ impl Prior {
     /// Standard deviation of the common profile at `x_m`, in its unit.
     pub fn common_sd(&self, side: Side, x_m: f64) -> f64 {
         self.along(&self.common, side, x_m)
+    }
+
+    /// Standard deviation of the dip at `x_m`, metres.
+    pub fn dip_sd_m(&self, side: Side, x_m: f64) -> f64 {
+        self.along(&Spread { region: self.dip_m, outside: 0.0, stock: 0.0 }, side, x_m)
     }
 
     fn along(&self, spread: &Spread, side: Side, x_m: f64) -> f64 {

@@ -201,6 +201,21 @@ impl ProfileGrids {
         self.parts.iter().filter(move |p| p.side == side).map(move |p| (p, class.weight(p.regressor)))
     }
 
+    /// Value under each contact of a bogie per entry of the joint vector, for constant parts: `[leading, trailing][crossing,
+    /// stock]`, positions × entries.
+    pub fn values_at(&self, position_m: &[f64]) -> [[Mat<f64>; 2]; 2] {
+        let of = |side: Side| {
+            let splines = self.grid(side).basis(position_m);
+            let mut out = Mat::zeros(position_m.len(), self.len());
+            for part in self.parts.iter().filter(|p| p.side == side && p.regressor == Regressor::Constant) {
+                out.subcols_mut(part.first, splines.ncols()).copy_from(&splines);
+            }
+            out
+        };
+        let rails = [of(Side::Crossing), of(Side::Stock)];
+        [rails.clone(), rails]
+    }
+
     /// Prior covariance of the joint vector, unit of the profile squared.
     pub fn prior_covariance(&self, prior: &Prior) -> Mat<f64> {
         let mut out = Mat::zeros(self.len(), self.len());
@@ -211,9 +226,15 @@ impl ProfileGrids {
             let step = grid.step_m / prior.correlation_m;
             let mut block = match self.kind {
                 Kind::Force => prior.covariance(&positions, &sd, step),
-                Kind::Irregularity => Mat::from_fn(grid.len, grid.len, |i, j| {
-                    sd[i] * sd[j] * matern_at(i.abs_diff(j), step)
-                }),
+                Kind::Irregularity => {
+                    let long: Vec<f64> =
+                        positions.iter().map(|x| prior.dip_sd_m(p.side, *x)).collect();
+                    let long_step = grid.step_m / prior.dip_correlation_m;
+                    Mat::from_fn(grid.len, grid.len, |i, j| {
+                        sd[i] * sd[j] * matern_at(i.abs_diff(j), step)
+                            + long[i] * long[j] * matern_at(i.abs_diff(j), long_step)
+                    })
+                }
             };
             for i in 0..grid.len {
                 block[(i, i)] += 1e-9 * sd[i].powi(2);

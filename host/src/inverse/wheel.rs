@@ -4,10 +4,10 @@
 use faer::Mat;
 
 use super::prior::Prior;
-use super::profile::{CommonProfile, WheelClass};
+use super::profile::CommonProfile;
 use crate::greens::GreensFunctions;
 use crate::greens::moving::{PassingResponse, own_positions};
-use crate::interaction::Interaction;
+use crate::interaction::{Contacts, Interaction, Motion};
 use crate::track::Side;
 
 /// How the common profile makes forces.
@@ -43,15 +43,17 @@ pub struct Running {
 pub(super) struct Wheel {
     pub(super) first_sample: i64,
     pub(super) position_m: Vec<f64>,
-    pub(super) sides: [WheelSide; 2],
+    /// Factors of the covariance of the wheel's own deviation on both rails, N.
+    pub(super) root_n: [Mat<f64>; 2],
+    pub(super) basis: Basis,
 }
 
-/// One rail under the wheel.
-pub(super) struct WheelSide {
-    /// Factor of the covariance of the wheel's own deviation, N.
-    pub(super) root_n: Mat<f64>,
-    /// Force deviation per spline coefficient of the common profile.
-    pub(super) basis: Mat<f64>,
+/// Force deviation per entry of the common profile.
+pub(super) enum Basis {
+    /// Splines on the grid of each rail: the profile is the deviation, part by part.
+    Splines([Mat<f64>; 2]),
+    /// All entries, `[leading, trailing][crossing, stock]`: wheel and track make forces of the profile.
+    Full(Contacts),
 }
 
 pub(super) const SIDES: [Side; 2] = [Side::Crossing, Side::Stock];
@@ -68,45 +70,53 @@ impl Wheel {
         let (first_sample, position_m) =
             own_positions(running.direction, running.speed_m_s, prior.half_m, rate);
         let step = 1.0 / (rate * prior.correlation_s);
-        let side = |side: Side| {
+        let root = |side: Side| {
             let sd_n: Vec<f64> = position_m.iter().map(|x| prior.own_sd_n(side, *x)).collect();
-            let splines = common.grids.grid(side).basis(&position_m);
-            let basis = match model.excitation {
-                Excitation::Force => splines,
-                Excitation::Irregularity(interaction) => {
-                    interaction.follow(side, &position_m, running.static_force_n, &splines)
-                }
-            };
-            Some(WheelSide { root_n: prior.covariance_factor(&position_m, &sd_n, step)?, basis })
+            prior.covariance_factor(&position_m, &sd_n, step)
         };
-        let sides = [side(Side::Crossing)?, side(Side::Stock)?];
-        Some(Self { first_sample, position_m, sides })
+        let root_n = [root(Side::Crossing)?, root(Side::Stock)?];
+        let basis = match model.excitation {
+            Excitation::Force => Basis::Splines(SIDES.map(|s| common.grids.grid(s).basis(&position_m))),
+            Excitation::Irregularity(interaction) => {
+                let motion = running.on(interaction, &position_m);
+                Basis::Full(motion.solve(&common.grids.values_at(&position_m)))
+            }
+        };
+        Some(Self { first_sample, position_m, root_n, basis })
     }
 }
 
-/// Mean force deviation of a wheel under the common profile, at its own samples: [`SIDES`], newtons.
-pub(super) fn mean_deviation_n(
+impl Running {
+    fn on<'a>(&self, interaction: &'a Interaction, position_m: &'a [f64]) -> Motion<'a> {
+        interaction.moving(position_m, self.direction, self.speed_m_s, self.static_force_n)
+    }
+}
+
+/// Mean force deviations under the common profile at a wheel's own samples, newtons:
+/// `[leading, trailing][crossing, stock]`.
+pub fn mean_deviations_n(
     model: &TrackModel,
     running: &Running,
     common: &CommonProfile,
-    class: WheelClass,
     position_m: &[f64],
-) -> [Vec<f64>; 2] {
-    SIDES.map(|side| {
-        let splines = common.grids.grid(side).basis(position_m);
-        let coefficients = common.coefficients(side, class);
-        let mut value = Mat::from_fn(position_m.len(), 1, |j, _| {
-            (0..coefficients.len()).map(|i| splines[(j, i)] * coefficients[i]).sum::<f64>()
-        });
-        if let Excitation::Irregularity(interaction) = model.excitation {
-            let deflection = interaction.static_deflection_m(side, position_m, running.static_force_n);
-            for (j, d) in deflection.iter().enumerate() {
-                value[(j, 0)] += d;
-            }
-            value = interaction.follow(side, position_m, running.static_force_n, &value);
+) -> [[Vec<f64>; 2]; 2] {
+    let profile = [0, 1].map(|axle: usize| {
+        let class = common.grids.class(running.speed_m_s, axle);
+        SIDES.map(|side| {
+            let splines = common.grids.grid(side).basis(position_m);
+            let coefficients = common.coefficients(side, class);
+            splines * Mat::from_fn(coefficients.len(), 1, |i, _| coefficients[i])
+        })
+    });
+    let deviation = match model.excitation {
+        Excitation::Force => profile,
+        Excitation::Irregularity(interaction) => {
+            let motion = running.on(interaction, position_m);
+            let deflection = motion.static_deflection_m();
+            motion.solve(&[0, 1].map(|a: usize| [0, 1].map(|r: usize| &profile[a][r] + &deflection[a][r])))
         }
-        value.col_as_slice(0).to_vec()
-    })
+    };
+    deviation.map(|axle| axle.map(|m| m.col_as_slice(0).to_vec()))
 }
 
 /// Response of the sensor to one wheel on both rails: its static force, and the mean deviation if it has one.

@@ -70,7 +70,7 @@ const NOMINAL: BallastParameters = BallastParameters { p1_n_m2: 30e6, p2_n_m2: 2
 /// Spacing of the common force profile on the two rails, metres; half the shortest wavelength in the band at 45 m/s.
 const PROFILE_STEP_M: (f64, f64) = (0.05, 0.08);
 /// Position uncertainty left after the calibration, metres: common and per passage; relative error of the speed.
-const SHIFT_SD_M: (f64, f64) = (0.01, 0.01);
+const SHIFT_SD_M: (f64, f64) = (0.0003, 0.001);
 const SPEED_SD: f64 = 1e-4;
 
 /// Runs the identification.
@@ -182,7 +182,7 @@ fn calibrate(
     progress.step();
     problem.converge(&mut state, &mut some, 8)?;
     progress.step();
-    let fit = problem.converge(&mut state, passages, 3)?;
+    let fit = problem.converge(&mut state, passages, 6)?;
     progress.step();
     Ok((state, fit))
 }

@@ -136,6 +136,20 @@ impl Motion<'_> {
         })
     }
 
+    /// Force deviation of every contact for irregularities under that contact alone, `[crossing, stock]`.
+    pub fn solve_alone(&self, irregularity_m: &[Mat<f64>; 2]) -> Contacts {
+        let n = self.position_m.len();
+        [0, 1].map(|axle: usize| {
+            [0, 1].map(|rail: usize| {
+                let (first, cases) = ((2 * axle + rail) * n, irregularity_m[rail].ncols());
+                let mut all = Mat::zeros(4 * n, cases);
+                all.submatrix_mut(first, 0, n, cases).copy_from(&irregularity_m[rail]);
+                let force = self.compliance.solve(&all);
+                -force.submatrix(first, 0, n, cases)
+            })
+        })
+    }
+
     /// Variation of the deflection under the static load along the positions, metres, relative to the ends, where it
     /// fades in: a constant deflection moves the whole vehicle and makes no force. One column.
     pub fn static_deflection_m(&self) -> Contacts {

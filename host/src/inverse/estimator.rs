@@ -199,7 +199,7 @@ impl Estimator {
 
     fn axle_gain(&self, axle: &AxleModel, low_pass: &Mat<f64>, common: &CommonProfile) -> AxleGain {
         let (m, n, g) = (axle.mean_n.len(), self.len(), low_pass.nrows());
-        let whitened = low_pass * &self.wheel.root_n[0];
+        let whitened = low_pass * &self.wheel.root_n[usize::from(!axle.class.leading)][0];
         let load_variance = self.prior.load_sd.powi(2);
         let static_force_n = self.running.static_force_n;
         // Covariance between the forces on the grid and the window.
@@ -365,7 +365,7 @@ fn add_axle(
                 add_parts(profile_response, &(&kernel * &splines[rail]), common, side, class);
             }
         }
-        let shaped = &kernel * &wheel.root_n[rail];
+        let shaped = &kernel * &wheel.root_n[usize::from(!class.leading)][rail];
         add_square(covariance, &shaped);
         if side == SIDES[0] {
             crossing = shaped;

@@ -16,12 +16,14 @@ pub struct Prior {
     pub region_m: [f64; 2],
     /// Irregularity that all wheels share, metres.
     pub common: Spread,
-    /// Each wheel's own part of the force deviation, newtons.
+    /// Each wheel's own part, in the same unit.
     pub own: Spread,
     /// Length over which the standard deviations fall off outside the region (Gaussian), metres.
     pub edge_m: f64,
     /// Correlation time of a wheel's own part (Matérn 5/2), seconds.
     pub correlation_s: f64,
+    /// Correlation length of a wheel's own irregularity (Matérn 5/2), metres.
+    pub own_correlation_m: f64,
     /// Correlation length of the common profile (Matérn 5/2), metres.
     pub correlation_m: f64,
     /// Dip of the wheels' path from wing rail to nose: standard deviation inside the region, metres.
@@ -61,7 +63,8 @@ impl Prior {
         Self {
             region_m: [-1.2 + 0.3 * direction, 1.2 + 0.3 * direction],
             common: Spread { region: 0.6e-3, outside: 0.06e-3, stock: 0.12e-3 },
-            own: Spread { region: 4e3, outside: 0.7e3, stock: 0.3e3 },
+            own: Spread { region: 60e-6, outside: 10e-6, stock: 10e-6 },
+            own_correlation_m: 0.15,
             edge_m: 0.25,
             correlation_s: 2e-3,
             correlation_m: 0.15,
@@ -101,8 +104,8 @@ impl Prior {
         }
     }
 
-    /// Standard deviation of a wheel's own force deviation at `x_m`, newtons.
-    pub fn own_sd_n(&self, side: Side, x_m: f64) -> f64 {
+    /// Standard deviation of a wheel's own part at `x_m`, in the unit of the profile.
+    pub fn own_sd(&self, side: Side, x_m: f64) -> f64 {
         self.along(&self.own, side, x_m)
     }
 
@@ -140,6 +143,18 @@ impl Prior {
             Ok(factor) => &free - &cross * factor.solve(cross.transpose()),
             Err(_) => free,
         }
+    }
+
+    /// Lower Cholesky factor of the covariance of a wheel's own irregularity at equidistant positions, metres: Matérn 5/2
+    /// with `step` correlation lengths between neighbours; `None` if it is not finite.
+    pub fn path_factor(&self, positions_m: &[f64], side: Side, step: f64) -> Option<Mat<f64>> {
+        let n = positions_m.len();
+        let sd: Vec<f64> = positions_m.iter().map(|x| self.own_sd(side, *x)).collect();
+        let correlation: Vec<f64> = (0..n).map(|lag| matern_at(lag, step)).collect();
+        let covariance = Mat::from_fn(n, n, |i, j| {
+            sd[i] * sd[j] * (correlation[i.abs_diff(j)] + if i == j { JITTER } else { 0.0 })
+        });
+        covariance.llt(faer::Side::Lower).ok().map(|f| f.L().to_owned())
     }
 
     /// Lower Cholesky factor of [`Self::covariance`]; `None` if it is not finite.

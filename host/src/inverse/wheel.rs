@@ -43,8 +43,8 @@ pub struct Running {
 pub(super) struct Wheel {
     pub(super) first_sample: i64,
     pub(super) position_m: Vec<f64>,
-    /// Factors of the covariance of the wheel's own deviation on both rails, N.
-    pub(super) root_n: [Mat<f64>; 2],
+    /// Factors of the covariance of the wheel's own deviation, N: `[leading, trailing][crossing, stock]`.
+    pub(super) root_n: Contacts,
     pub(super) basis: Basis,
 }
 
@@ -69,17 +69,23 @@ impl Wheel {
         let rate = model.greens.sampling.rate_hz;
         let (first_sample, position_m) =
             own_positions(running.direction, running.speed_m_s, prior.half_m, rate);
-        let step = 1.0 / (rate * prior.correlation_s);
-        let root = |side: Side| {
-            let sd_n: Vec<f64> = position_m.iter().map(|x| prior.own_sd_n(side, *x)).collect();
-            prior.covariance_factor(&position_m, &sd_n, step)
-        };
-        let root_n = [root(Side::Crossing)?, root(Side::Stock)?];
-        let basis = match model.excitation {
-            Excitation::Force => Basis::Splines(SIDES.map(|s| common.grids.grid(s).basis(&position_m))),
+        let (root_n, basis) = match model.excitation {
+            Excitation::Force => {
+                let step = 1.0 / (rate * prior.correlation_s);
+                let root = |side: Side| {
+                    let sd_n: Vec<f64> = position_m.iter().map(|x| prior.own_sd(side, *x)).collect();
+                    prior.covariance_factor(&position_m, &sd_n, step)
+                };
+                let roots = [root(Side::Crossing)?, root(Side::Stock)?];
+                let splines = SIDES.map(|s| common.grids.grid(s).basis(&position_m));
+                ([roots.clone(), roots], Basis::Splines(splines))
+            }
             Excitation::Irregularity(interaction) => {
                 let motion = running.on(interaction, &position_m);
-                Basis::Full(motion.solve(&common.grids.values_at(&position_m)))
+                let step = running.speed_m_s / (rate * prior.own_correlation_m);
+                let path = |side: Side| prior.path_factor(&position_m, side, step);
+                let own = motion.solve_alone(&[path(Side::Crossing)?, path(Side::Stock)?]);
+                (own, Basis::Full(motion.solve(&common.grids.values_at(&position_m))))
             }
         };
         Some(Self { first_sample, position_m, root_n, basis })

@@ -35,9 +35,9 @@ pub struct GreensSampling {
 }
 
 impl GreensSampling {
-    /// Identification: 1 kHz, full band of the force estimate with room for the transition.
+    /// Force estimate: 800 Hz, its full band with room for the transition.
     pub fn wide() -> Self {
-        Self { rate_hz: 1000.0, len: 512, band_hz: [260.0, 330.0] }
+        Self { rate_hz: 800.0, len: 512, band_hz: [260.0, 330.0] }
     }
 
     /// Calibration by evidence: 400 Hz.

@@ -1,14 +1,16 @@
 //! A site from recordings to calibrated model: speeds, ballast, axle times, common force profile.
 
 use crate::ballast::BallastParameters;
-use crate::ballast::evidence::{Calibration, EvidenceFit, EvidenceProblem, TEMPERATURE, realign};
+use crate::ballast::evidence::{Calibration, EvidenceFit, DIFFERENCE, EvidenceProblem, TEMPERATURE, realign};
 use crate::ballast::quasi_static::{QuasiStatic, QuasiStaticFit};
 use crate::greens::{Chain, GreensFunctions, GreensSampling, Quantity};
 use crate::inverse::hierarchy::{Moved, SiteModel, SitePassage, SitePosterior};
-use crate::inverse::{CommonProfile, Excitation, InverseError, Prior, ProfileGrids, TrackModel};
+use crate::inverse::hyper::{FORCE, refine};
+use crate::inverse::{CommonProfile, Estimator, Excitation, InverseError, Prior, ProfileGrids, TrackModel};
 use crate::progress::Progress;
 use crate::reconstruct::{Recording, SpeedSearch, Timing, estimate_speed};
 use crate::recording::Site;
+use crate::signal::mean;
 use crate::track::{Mesh, Track};
 use crate::vehicle::{AxlePattern, static_wheel_force_n};
 
@@ -55,10 +57,23 @@ pub struct IdentifiedSite<'s> {
     pub prior: Prior,
     /// Green's functions of the calibrated track.
     pub greens: GreensFunctions,
+    /// The same with each of (ln p1, ln p2, p3) moved by a step.
+    pub nearby_greens: [(GreensFunctions, f64); 3],
     /// Force deviation that all wheels share.
     pub profile: CommonProfile,
     /// Posterior at the full band.
     pub posterior: SitePosterior,
+}
+
+impl IdentifiedSite<'_> {
+    /// Window of a passage as an estimator expects it, for the group of axles that begins with axle `first`, m/s².
+    pub fn window(&self, index: usize, estimator: &Estimator, first: usize) -> Vec<f64> {
+        let rate = estimator.rate_hz;
+        let start_s =
+            self.timings[index].axle_s(self.pattern.offset_m[first]) - estimator.before as f64 / rate;
+        let band = self.greens.sampling.band_hz;
+        self.recordings[index].window(start_s, rate, estimator.len(), band)
+    }
 }
 
 /// Passages used for the search over ballast; all are used for everything else.
@@ -107,8 +122,19 @@ pub fn identify<'s>(site: &'s Site, progress: &dyn Progress) -> Result<Identifie
         EvidenceProblem { track: &track, direction, pattern: &pattern, vehicle: &crossing.vehicle };
     let (calibration, ballast) = calibrate(&problem, &quasi_static.parameters, &mut passages, progress)?;
     let greens = wide_greens(&track, &ballast.parameters);
-    let prior = Prior::common_force(direction);
-    let posterior = common_force(&track, &ballast, &greens, direction, &pattern, &prior, &mut passages, progress)?;
+    let nearby_greens =
+        [0, 1, 2].map(|k| (wide_greens(&track, &ballast.parameters.moved(k, DIFFERENCE[k])), DIFFERENCE[k]));
+    let moved: Vec<Moved> = nearby_greens
+        .iter()
+        .enumerate()
+        .map(|(k, (greens, step))| Moved {
+            model: TrackModel { greens, excitation: Excitation::Force },
+            step: *step,
+            prior: (0.0, ballast.covariance[k][k].sqrt()),
+        })
+        .collect();
+    let (prior, posterior) = common_force(&greens, &moved, direction, &pattern, &mut passages, progress)?;
+    drop(moved);
     let timings = passages.iter().map(|p| p.timing).collect();
     Ok(IdentifiedSite {
         site,
@@ -125,6 +151,7 @@ pub fn identify<'s>(site: &'s Site, progress: &dyn Progress) -> Result<Identifie
         direction,
         recordings,
         greens,
+        nearby_greens,
     })
 }
 
@@ -189,41 +216,42 @@ fn calibrate(
 
 /// Force profile that all wheels share at the full band, with the axle times.
 fn common_force(
-    track: &Track,
-    ballast: &EvidenceFit,
     greens: &GreensFunctions,
+    moved: &[Moved],
     direction: f64,
     pattern: &AxlePattern,
-    prior: &Prior,
     passages: &mut [SitePassage],
     progress: &dyn Progress,
-) -> Result<SitePosterior, IdentifyError> {
-    progress.begin("common force profile", 2);
-    let mean_speed = crate::signal::mean(&passages.iter().map(|p| p.timing.speed_m_s).collect::<Vec<_>>());
-    let grids = ProfileGrids::force(prior.half_m, PROFILE_STEP_M.0, PROFILE_STEP_M.1, mean_speed);
-    let mut profile = CommonProfile::zero(grids);
-    let model = |greens| TrackModel { greens, excitation: Excitation::Force };
-    let _ = (track, ballast);
-    for round in 0..2 {
-        let site = SiteModel {
-            model: model(greens),
-            moved: Vec::<Moved>::new(),
+) -> Result<(Prior, SitePosterior), InverseError> {
+    progress.begin("common force profile", 3);
+    let start = Prior::common_force(direction);
+    let mean_speed = mean(&passages.iter().map(|p| p.timing.speed_m_s).collect::<Vec<_>>());
+    let grids = ProfileGrids::force(start.half_m, PROFILE_STEP_M.0, PROFILE_STEP_M.1, mean_speed);
+    let posterior = |prior: &Prior, moved: &[Moved], profile: &CommonProfile, passages: &[SitePassage]| {
+        SiteModel {
+            model: TrackModel { greens, excitation: Excitation::Force },
+            moved: moved.to_vec(),
             direction,
             pattern,
             prior,
-            profile: &profile,
+            profile,
             common_shift_sd_m: SHIFT_SD_M.0,
             passage_shift_sd_m: SHIFT_SD_M.1,
             speed_sd: SPEED_SD,
             temperature: TEMPERATURE,
-        };
-        let posterior = site.posterior(passages)?;
-        progress.step();
-        if round == 1 {
-            return Ok(posterior);
         }
-        realign(passages, &posterior);
-        profile = posterior.profile;
-    }
-    Err(IdentifyError::NoPassage)
+        .posterior(passages)
+    };
+    let zero = CommonProfile::zero(grids);
+    let some = spread_out(passages, HYPER_PASSAGES);
+    let evidence = |prior: &Prior| Ok(posterior(prior, &[], &zero, &some)?.log_evidence);
+    let (prior, _) = refine(&start, &FORCE, &evidence)?;
+    progress.step();
+    // The profile that a few passages show is good enough to linearise about.
+    let rough = posterior(&prior, &[], &zero, &some)?.profile;
+    progress.step();
+    let all = posterior(&prior, moved, &rough, passages)?;
+    realign(passages, &all);
+    progress.step();
+    Ok((prior, all))
 }

@@ -15,7 +15,7 @@ use crate::greens::GreensSampling;
 use crate::greens::moving_response::RailGreens;
 use crate::recording::Vehicle;
 use crate::signal::{CubicSpline, irfft, taper};
-use crate::track::{Side, Track};
+use crate::track::Track;
 
 /// Interaction of a bogie with the calibrated track.
 #[derive(Clone, Debug)]

@@ -50,6 +50,8 @@ pub enum KernelError {
 const BIN_STEP: f64 = 0.05;
 /// Bins reach this far beyond the slowest and the fastest recorded train.
 const BIN_MARGIN: f64 = 0.03;
+/// Rate of the node's windows, Hz.
+const NODE_RATE_HZ: f64 = RAW_RATE_HZ as f64 / decimate::DECIMATION as f64;
 /// Step of the force grid, metres.
 const GRID_STEP_M: f64 = 0.025;
 /// Singular directions of the operator that change no force by more than this (one standard deviation) are left out,
@@ -112,7 +114,7 @@ fn node_greens(site: &IdentifiedSite) -> GreensFunctions {
         taps: decimate::TAPS.iter().map(|t| f64::from(*t)).collect(),
         raw_rate_hz: sensor.sample_rate_hz,
     };
-    let sampling = GreensSampling { band_hz: [430.0, 498.0], ..GreensSampling::wide() };
+    let sampling = GreensSampling { rate_hz: NODE_RATE_HZ, len: 512, band_hz: [430.0, 498.0] };
     let distribution =
         site.ballast.parameters.distribution(site.track.sleeper_x_m.len(), site.track.sensor_sleeper);
     GreensFunctions::new(&site.track, &distribution, sampling, Quantity::Acceleration, &chain)

@@ -5,13 +5,14 @@
 //! an unknown with a prior, so nothing has to be filtered away. The model is linearised in the ballast (Gauss-Newton on
 //! the marginal likelihood), so that ballast, irregularity and positions come out of one linear-Gaussian posterior.
 
+use faer::Mat;
 use rayon::prelude::*;
 
 use super::BallastParameters;
 use crate::greens::{Chain, GreensFunctions, GreensSampling, Quantity};
 use crate::interaction::Interaction;
 use crate::inverse::hierarchy::{Moved, SiteModel, SitePassage, SitePosterior};
-use crate::inverse::hyper::refine;
+use crate::inverse::hyper::{IRREGULARITY, refine};
 use crate::inverse::{CommonProfile, Excitation, InverseError, Prior, ProfileGrids, TrackModel};
 use crate::recording::Vehicle;
 use crate::track::Track;
@@ -45,7 +46,7 @@ const SPEED_SD: f64 = 3e-4;
 /// Spacing of the common irregularity on the two rails, metres.
 const PROFILE_STEP_M: (f64, f64) = (0.1, 0.2);
 /// Steps of the difference quotients in (ln p1, ln p2, p3).
-const DIFFERENCE: [f64; 3] = [0.02, 0.02, 0.02];
+pub const DIFFERENCE: [f64; 3] = [0.02, 0.02, 0.02];
 /// Largest change of (ln p1, ln p2, p3) in one linearisation.
 const TRUST: [f64; 3] = [0.3, 0.4, 0.2];
 /// Converged when no parameter moves by more than this.
@@ -69,6 +70,8 @@ pub struct EvidenceFit {
     pub parameters: BallastParameters,
     /// Posterior covariance of (ln p1, ln p2, p3).
     pub covariance: [[f64; 3]; 3],
+    /// Posterior covariance of (position error that all passages share in metres, ln p1, ln p2, p3).
+    pub with_position: [[f64; 4]; 4],
     /// Log evidence there, priors of the parameters included.
     pub log_evidence: f64,
     /// Linearisations.
@@ -101,7 +104,8 @@ impl EvidenceProblem<'_> {
             if largest < TOLERANCE || evaluations >= rounds {
                 return Ok(EvidenceFit {
                     parameters: state.ballast,
-                    covariance: parameter_covariance(&posterior),
+                    covariance: last_of(&posterior.covariance),
+                    with_position: last_of(&posterior.covariance),
                     log_evidence: posterior.log_evidence,
                     evaluations,
                 });
@@ -115,7 +119,7 @@ impl EvidenceProblem<'_> {
         state: &Calibration,
         passages: &[SitePassage],
     ) -> Result<SitePosterior, InverseError> {
-        let z = to_vector(&state.ballast);
+        let z = state.ballast.to_vector();
         let vectors: Vec<[f64; 3]> = std::iter::once(z)
             .chain((0..3).map(|k| {
                 let mut moved = z;
@@ -125,7 +129,7 @@ impl EvidenceProblem<'_> {
             .collect();
         let half_m = state.prior.half_m;
         let models: Vec<LowModel> =
-            vectors.par_iter().map(|v| LowModel::new(self, &from_vector(v), half_m)).collect();
+            vectors.par_iter().map(|v| LowModel::new(self, &BallastParameters::from_vector(v), half_m)).collect();
         let prior_of = |k: usize| if k < 2 { STIFFNESS_PRIOR } else { P3_PRIOR };
         let moved = (0..3).map(|k| Moved {
             model: models[k + 1].track_model(),
@@ -142,7 +146,7 @@ impl EvidenceProblem<'_> {
             let site = self.site_model(&model, Vec::new(), prior, &state.irregularity);
             Ok(site.posterior(passages)?.log_evidence)
         };
-        Ok(refine(&state.prior, &evidence)?.0)
+        Ok(refine(&state.prior, &IRREGULARITY, &evidence)?.0)
     }
 
     fn site_model<'m>(
@@ -172,8 +176,8 @@ impl Calibration {
     fn advance(&mut self, posterior: &SitePosterior) -> f64 {
         let change = &posterior.parameters;
         let excess = (0..3).map(|k| change[k].abs() / TRUST[k]).fold(1.0, f64::max);
-        let z = to_vector(&self.ballast);
-        self.ballast = from_vector(&std::array::from_fn(|k| z[k] + change[k] / excess));
+        let z = self.ballast.to_vector();
+        self.ballast = BallastParameters::from_vector(&std::array::from_fn(|k| z[k] + change[k] / excess));
         self.irregularity = posterior.profile.clone();
         change.iter().fold(0.0, |m: f64, c| m.max(c.abs()))
     }
@@ -210,19 +214,8 @@ impl LowModel {
     }
 }
 
-fn parameter_covariance(posterior: &SitePosterior) -> [[f64; 3]; 3] {
-    let first = posterior.covariance.nrows() - 3;
-    std::array::from_fn(|i| std::array::from_fn(|j| posterior.covariance[(first + i, first + j)]))
-}
-
-fn to_vector(p: &BallastParameters) -> [f64; 3] {
-    [p.p1_n_m2.ln(), p.p2_n_m2.ln(), p.p3]
-}
-
-fn from_vector(z: &[f64; 3]) -> BallastParameters {
-    BallastParameters {
-        p1_n_m2: z[0].clamp(13.0, 20.0).exp(),
-        p2_n_m2: z[1].clamp(13.0, 20.0).exp(),
-        p3: z[2].clamp(0.0, 1.0),
-    }
+/// Last rows and columns of a covariance: those of the ballast, and of the position before them.
+fn last_of<const N: usize>(covariance: &Mat<f64>) -> [[f64; N]; N] {
+    let first = covariance.nrows() - N;
+    std::array::from_fn(|i| std::array::from_fn(|j| covariance[(first + i, first + j)]))
 }

@@ -191,6 +191,29 @@ impl Estimator {
         );
     }
 
+    /// Forces of every axle for a window, low-passed at `low_pass_hz` (brick wall), at positions `grid_m`: what
+    /// [`Self::gains`] gives, without the matrices.
+    pub fn forces_n(&self, window_m_s2: &[f64], grid_m: &[f64], low_pass_hz: f64) -> Vec<Vec<f64>> {
+        let n = self.len();
+        let residual = Mat::from_fn(n, 1, |i, _| window_m_s2[i] - self.expected_m_s2[i]);
+        let solved = self.factor.solve(&residual);
+        let low_pass = self.low_pass(grid_m, low_pass_hz);
+        self.axles
+            .iter()
+            .map(|axle| {
+                let root = &self.wheel.root_n[usize::from(!axle.class.leading)][0];
+                let mut deviation = root * (axle.shaped.transpose() * &solved);
+                for (i, mean) in axle.mean_n.iter().enumerate() {
+                    deviation[(i, 0)] += mean;
+                }
+                let load: f64 = (0..n).map(|k| axle.static_m_s2[k] * solved[(k, 0)]).sum();
+                let static_n = self.running.static_force_n * (1.0 + self.prior.load_sd.powi(2) * load);
+                let low = &low_pass * &deviation;
+                (0..grid_m.len()).map(|i| static_n + low[(i, 0)]).collect()
+            })
+            .collect()
+    }
+
     /// Linear maps to the force of every axle, low-passed at `low_pass_hz` (brick wall), at positions `grid_m`.
     pub fn gains(&self, grid_m: &[f64], low_pass_hz: f64, common: &CommonProfile) -> Vec<AxleGain> {
         let low_pass = self.low_pass(grid_m, low_pass_hz);

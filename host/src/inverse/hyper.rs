@@ -3,14 +3,14 @@
 use super::{InverseError, Prior};
 
 /// A positive hyper-parameter with the range in which it is physical.
-struct Hyper {
+pub struct Hyper {
     get: fn(&mut Prior) -> &mut f64,
     range: [f64; 2],
 }
 
 /// In the order in which they matter. Ranges: from nothing measurable to the recorder's full noise, the depth of a broken
 /// crossing, a corrugated stock rail; the correlation length from one sleeper's height to a sleeper bay.
-const HYPERS: [Hyper; 9] = [
+pub const IRREGULARITY: [Hyper; 9] = [
     Hyper { get: |p| &mut p.noise_m_s2, range: [0.005, 1.0] },
     Hyper { get: |p| &mut p.own.region, range: [2e-6, 2e-3] },
     Hyper { get: |p| &mut p.own.outside, range: [1e-6, 0.5e-3] },
@@ -22,18 +22,30 @@ const HYPERS: [Hyper; 9] = [
     Hyper { get: |p| &mut p.dip_m, range: [0.1e-3, 10e-3] },
 ];
 
+/// Those of a common force profile: up to the recorder's full noise and the size of the static force; the rails outside the
+/// region and the stock rail are smooth.
+pub const FORCE: [Hyper; 6] = [
+    Hyper { get: |p| &mut p.noise_m_s2, range: [0.04, 1.0] },
+    Hyper { get: |p| &mut p.own.region, range: [200.0, 60e3] },
+    Hyper { get: |p| &mut p.own.outside, range: [200.0, 20e3] },
+    Hyper { get: |p| &mut p.own.stock, range: [100.0, 1.2e3] },
+    Hyper { get: |p| &mut p.correlation_s, range: [0.7e-3, 5e-3] },
+    Hyper { get: |p| &mut p.slow_n, range: [100.0, 5e3] },
+];
+
 /// Steps taken, as factors.
 const FACTORS: [f64; 2] = [2.0, std::f64::consts::SQRT_2];
 
 /// Prior with the highest evidence found, and that evidence.
 pub fn refine(
     start: &Prior,
+    hypers: &[Hyper],
     evidence: &dyn Fn(&Prior) -> Result<f64, InverseError>,
 ) -> Result<(Prior, f64), InverseError> {
     let mut best = start.clone();
     let mut highest = evidence(&best)?;
     for factor in FACTORS {
-        for hyper in &HYPERS {
+        for hyper in hypers {
             for step in [factor, 1.0 / factor] {
                 let moved = climb(hyper, step, &mut best, &mut highest, evidence);
                 if moved {

@@ -162,13 +162,9 @@ fn sds_of(
             columns[(i, 1 + k)] = (moved[i] - estimator.expected_m_s2[i]) / step;
         }
     }
-    let rate = estimator.rate_hz;
     for i in 0..n {
         // A wheel that comes later by X moves the window by −X ȧ/v.
-        let (before, after) = (i.saturating_sub(1), (i + 1).min(n - 1));
-        let slope = (estimator.expected_m_s2[after] - estimator.expected_m_s2[before])
-            / ((after - before) as f64 / rate);
-        columns[(i, 0)] = -slope / geometry.running.speed_m_s;
+        columns[(i, 0)] = -estimator.expected_slope_m_s3[i] / geometry.running.speed_m_s;
     }
     let (p, m) = (site.profile.value.len(), site.posterior.covariance.nrows());
     let gains = estimator.gains(position_m, LOW_PASS_HZ, &site.profile);

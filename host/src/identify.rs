@@ -79,7 +79,7 @@ impl IdentifiedSite<'_> {
 /// Passages used for the search over ballast; all are used for everything else.
 const CALIBRATION_PASSAGES: usize = 8;
 /// Passages used for the hyper-parameters.
-const HYPER_PASSAGES: usize = 4;
+const HYPER_PASSAGES: usize = 3;
 /// Start of the quasi-static fit: nominal outer stiffness, somewhat less under the crossing.
 const NOMINAL: BallastParameters = BallastParameters { p1_n_m2: 30e6, p2_n_m2: 25e6, p3: 0.4 };
 /// Spacing of the common force profile on the two rails, metres; half the shortest wavelength in the band at 45 m/s.
@@ -207,9 +207,9 @@ fn calibrate(
     progress.step();
     state.prior = problem.refined(&state, &spread_out(&some, HYPER_PASSAGES))?;
     progress.step();
-    problem.converge(&mut state, &mut some, 8)?;
+    problem.converge(&mut state, &mut some, 10)?;
     progress.step();
-    let fit = problem.converge(&mut state, passages, 6)?;
+    let fit = problem.converge(&mut state, passages, 3)?;
     progress.step();
     Ok((state, fit))
 }

@@ -24,22 +24,19 @@ pub struct Interaction {
     rails: [[RailGreens; 2]; 2],
     /// Deflection under a wheel per static force on all wheels of the bogie, m/N, along x: `[rail][companion at larger x]`.
     static_compliance: [[CubicSpline; 2]; 2],
-    bogie: BogieSpectra,
+    bogie: BogieResponses,
     sampling: GreensSampling,
     hertz_constant_n_m15: f64,
     axle_spacing_m: f64,
 }
 
-/// Displacement of a contact per force on contacts of the same bogie, m/N, on the lines of the sampling.
+/// Displacement of a contact per force impulse on contacts of the same bogie, on the same rail and on the other one.
 #[derive(Clone, Debug)]
-struct BogieSpectra {
-    own: Vec<c64>,
-    /// From the other rail, same wheelset.
-    across: Vec<c64>,
-    /// From the other wheelset, same rail.
-    along: Vec<c64>,
-    /// From the other wheelset, other rail.
-    diagonal: Vec<c64>,
+struct BogieResponses {
+    /// Of the same wheelset, periodic time series, metres per newton at one sample.
+    same_wheelset: [Vec<f64>; 2],
+    /// Of the other wheelset, spectra of the same.
+    other_wheelset: [Vec<c64>; 2],
 }
 
 /// The four contacts of a bogie moving at a speed: [`Motion::solve`] turns irregularities into force deviations.
@@ -71,7 +68,7 @@ impl Interaction {
         Self {
             rails: RailGreens::of_both_rails(track, ballast_n_m2, half_m, sampling),
             static_compliance: static_compliance(track, ballast_n_m2, half_m, vehicle.axle_spacing_m),
-            bogie: BogieSpectra::new(vehicle, sampling),
+            bogie: BogieResponses::new(vehicle, sampling),
             sampling,
             hertz_constant_n_m15: vehicle.hertz_constant_n_m15,
             axle_spacing_m: vehicle.axle_spacing_m,
@@ -89,13 +86,18 @@ impl Interaction {
         let n = position_m.len();
         let delay = self.axle_spacing_m / speed_m_s * self.sampling.rate_hz;
         let contact = 1.0 / (1.5 * self.hertz_constant_n_m15.powf(2.0 / 3.0) * static_force_n.cbrt());
+        // The trailing wheelset's clock is late: what happens to it comes to the leading one later.
+        let to_leading = self.bogie.other_wheelset(delay);
+        let to_trailing = self.bogie.other_wheelset(-delay);
         let mut compliance = Mat::zeros(4 * n, 4 * n);
         for (read_axle, read) in CONTACTS {
             for (loaded_axle, loaded) in CONTACTS {
-                let spectrum = self.bogie.between(read_axle == loaded_axle, read == loaded);
-                // The trailing wheelset's clock is late: what happens to it comes to the leading one later.
-                let late = delay * f64::from(loaded_axle - read_axle);
-                let mut block = self.kernel(spectrum, late, n);
+                let series = match loaded_axle - read_axle {
+                    0 => &self.bogie.same_wheelset[usize::from(read != loaded)],
+                    1 => &to_leading[usize::from(read != loaded)],
+                    _ => &to_trailing[usize::from(read != loaded)],
+                };
+                let mut block = toeplitz(series, n);
                 if read_axle == loaded_axle {
                     block += self.rails[read][loaded].kernel(position_m);
                 }
@@ -109,16 +111,11 @@ impl Interaction {
         let compliance = compliance.partial_piv_lu();
         Motion { interaction: self, position_m, direction, static_force_n, compliance }
     }
+}
 
-    /// Displacement at own sample k per force at own sample j of a contact whose clock is late by `delay` samples.
-    fn kernel(&self, spectrum: &[c64], delay: f64, n: usize) -> Mat<f64> {
-        let len = BOGIE_PERIODS * self.sampling.len;
-        let turn = -std::f64::consts::TAU * delay / len as f64;
-        let delayed: Vec<c64> =
-            spectrum.iter().enumerate().map(|(k, v)| v * c64::new(0.0, turn * k as f64).exp()).collect();
-        let series = irfft(&delayed, len);
-        Mat::from_fn(n, n, |k, j| series[(k as i64 - j as i64).rem_euclid(len as i64) as usize])
-    }
+/// Displacement at own sample k per force at own sample j, from a periodic impulse response.
+fn toeplitz(series: &[f64], n: usize) -> Mat<f64> {
+    Mat::from_fn(n, n, |k, j| series[(k as i64 - j as i64).rem_euclid(series.len() as i64) as usize])
 }
 
 impl Motion<'_> {
@@ -216,28 +213,43 @@ const SECONDARY_HZ: f64 = 0.1;
 const SECONDARY_DAMPING: f64 = 0.7;
 const BOGIE_PERIODS: usize = 32;
 
-impl BogieSpectra {
-    fn between(&self, same_wheelset: bool, same_rail: bool) -> &[c64] {
-        match (same_wheelset, same_rail) {
-            (true, true) => &self.own,
-            (true, false) => &self.across,
-            (false, true) => &self.along,
-            (false, false) => &self.diagonal,
-        }
-    }
-
+impl BogieResponses {
     /// Two rigid wheelsets (heave and roll) on primary suspensions under a rigid frame (heave, pitch and roll).
     fn new(vehicle: &Vehicle, sampling: GreensSampling) -> Self {
         let sampling = GreensSampling { len: BOGIE_PERIODS * sampling.len, ..sampling };
-        let zero = || vec![c64::new(0.0, 0.0); sampling.len / 2 + 1];
-        let mut out = Self { own: zero(), across: zero(), along: zero(), diagonal: zero() };
-        for (k, f) in sampling.frequencies_hz().into_iter().enumerate() {
+        let mut spectra: [Vec<c64>; 4] = std::array::from_fn(|_| Vec::with_capacity(sampling.len / 2));
+        for f in sampling.frequencies_hz() {
             let gain = taper(f, sampling.band_hz[0], sampling.band_hz[1]);
-            let [own, across, along, diagonal] =
-                bogie_compliance(vehicle, std::f64::consts::TAU * f).map(|c| c * gain);
-            (out.own[k], out.across[k], out.along[k], out.diagonal[k]) = (own, across, along, diagonal);
+            for (s, c) in spectra.iter_mut().zip(bogie_compliance(vehicle, std::f64::consts::TAU * f)) {
+                s.push(c * gain);
+            }
         }
-        out
+        let [own, across, along, diagonal] = spectra.map(|mut s| {
+            s.resize(sampling.len / 2 + 1, c64::new(0.0, 0.0));
+            s
+        });
+        Self {
+            same_wheelset: [irfft(&own, sampling.len), irfft(&across, sampling.len)],
+            other_wheelset: [along, diagonal],
+        }
+    }
+
+    /// Series of the other wheelset, later by `delay` samples.
+    fn other_wheelset(&self, delay: f64) -> [Vec<f64>; 2] {
+        let len = self.same_wheelset[0].len();
+        let turn = c64::new(0.0, -std::f64::consts::TAU * delay / len as f64).exp();
+        [0, 1].map(|rail: usize| {
+            let mut phasor = c64::new(1.0, 0.0);
+            let delayed: Vec<c64> = self.other_wheelset[rail]
+                .iter()
+                .map(|v| {
+                    let value = v * phasor;
+                    phasor *= turn;
+                    value
+                })
+                .collect();
+            irfft(&delayed, len)
+        })
     }
 }
 

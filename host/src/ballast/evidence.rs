@@ -41,7 +41,7 @@ pub const TEMPERATURE: f64 = 12.0;
 const STIFFNESS_PRIOR: (f64, f64) = (17.2, 1.0);
 /// Prior standard deviations of the position errors after the quasi-static alignment, metres: common to all passages,
 /// and of each passage; and of the relative speed.
-const SHIFT_SD_M: (f64, f64) = (0.5, 0.03);
+const SHIFT_SD_M: (f64, f64) = (0.5, 0.3);
 const SPEED_SD: f64 = 3e-4;
 /// Spacing of the common irregularity on the two rails, metres.
 const PROFILE_STEP_M: (f64, f64) = (0.1, 0.2);

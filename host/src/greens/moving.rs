@@ -123,6 +123,16 @@ impl PassingResponse {
 
     /// Sum over wheels that are at x = 0 at the given window times.
     pub fn window(&self, time_at_origin_s: &[f64], len: usize) -> Vec<f64> {
+        self.placed(time_at_origin_s, len, |_| c64::new(1.0, 0.0))
+    }
+
+    /// Time derivative of [`Self::window`], per second.
+    pub fn slope(&self, time_at_origin_s: &[f64], len: usize) -> Vec<f64> {
+        let step = std::f64::consts::TAU * self.rate_hz / self.padded as f64;
+        self.placed(time_at_origin_s, len, |k| c64::new(0.0, step * k as f64))
+    }
+
+    fn placed(&self, time_at_origin_s: &[f64], len: usize, gain: impl Fn(usize) -> c64) -> Vec<f64> {
         let mut sum = vec![c64::new(0.0, 0.0); self.spectrum.len()];
         let mut any = false;
         for time in time_at_origin_s {
@@ -140,6 +150,9 @@ impl PassingResponse {
         }
         if !any {
             return vec![0.0; len];
+        }
+        for (k, s) in sum.iter_mut().enumerate() {
+            *s *= gain(k);
         }
         let mut out = irfft(&sum, self.padded);
         out.resize(len, 0.0);

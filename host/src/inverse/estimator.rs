@@ -51,6 +51,8 @@ pub struct Estimator {
     pub before: usize,
     /// Expected window under the common profile, m/s².
     pub expected_m_s2: Vec<f64>,
+    /// Its time derivative, m/s³.
+    pub expected_slope_m_s3: Vec<f64>,
     running: Running,
     prior: Prior,
     factor: Llt<f64>,
@@ -137,7 +139,8 @@ impl Estimator {
         Ok(Self {
             rate_hz,
             before: window.before,
-            expected_m_s2: expectation.window(geometry, common, rate_hz),
+            expected_m_s2: expectation.sum(geometry, common, rate_hz, PassingResponse::window),
+            expected_slope_m_s3: expectation.sum(geometry, common, rate_hz, PassingResponse::slope),
             running,
             prior: prior.clone(),
             factor,
@@ -325,13 +328,19 @@ impl Expectation {
     }
 
     /// Static forces of the whole train, mean deviations of the group's own axles.
-    fn window(&self, geometry: &GroupGeometry, common: &CommonProfile, rate_hz: f64) -> Vec<f64> {
+    fn sum(
+        &self,
+        geometry: &GroupGeometry,
+        common: &CommonProfile,
+        rate_hz: f64,
+        of: fn(&PassingResponse, &[f64], usize) -> Vec<f64>,
+    ) -> Vec<f64> {
         let running = &geometry.running;
         let time = |o: &f64| self.window.time_at_origin_s(*o, running, rate_hz);
         let own = geometry.axle_offset_m;
         let others: Vec<f64> =
             geometry.train_offset_m.iter().filter(|o| !own.contains(o)).map(time).collect();
-        let mut sum = self.standing.window(&others, self.window.len);
+        let mut sum = of(&self.standing, &others, self.window.len);
         for (which, response) in self.running.iter().enumerate() {
             let times: Vec<f64> = own
                 .iter()
@@ -339,7 +348,7 @@ impl Expectation {
                 .filter(|(i, _)| usize::from(!common.grids.class(running.speed_m_s, *i).leading) == which)
                 .map(|(_, o)| time(o))
                 .collect();
-            for (s, r) in sum.iter_mut().zip(response.window(&times, self.window.len)) {
+            for (s, r) in sum.iter_mut().zip(of(response, &times, self.window.len)) {
                 *s += r;
             }
         }
@@ -356,7 +365,12 @@ pub fn expected_window(
 ) -> Vec<f64> {
     let rate_hz = model.greens.sampling.rate_hz;
     let window = Window::of(geometry, prior, rate_hz);
-    Expectation::new(model, geometry, prior, common, window).window(geometry, common, rate_hz)
+    Expectation::new(model, geometry, prior, common, window).sum(
+        geometry,
+        common,
+        rate_hz,
+        PassingResponse::window,
+    )
 }
 
 /// Adds an axle's share to the covariance of the window and to its response to the common profile; returns the

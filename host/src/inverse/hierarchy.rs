@@ -256,7 +256,9 @@ impl SiteModel<'_> {
         let timing = passage.timing;
         let start = timing.axle_s(self.pattern.offset_m[group.first]) - estimator.before as f64 / rate;
         let window = passage.recording.window(start, rate, n, band);
-        let slope = passage.recording.window_slope(start, rate, n, band);
+        // The slope of the model's mean, not of the recording: what the wheels have of their own says nothing on where
+        // they are, but would damp every step.
+        let slope = &estimator.expected_slope_m_s3;
         let response = estimator.profile_response();
         let known: Vec<f64> = (0..n)
             .map(|i| (0..response.ncols()).map(|j| response[(i, j)] * self.profile.value[j]).sum())

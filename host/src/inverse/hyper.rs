@@ -1,4 +1,5 @@
-//! Hyper-parameters of the prior by evidence: one at a time, by factors of two and then of √2, until none helps.
+//! Hyper-parameters of the prior by evidence: one after the other, by factors of two as long as that helps. Estimates
+//! hardly depend on them within such a factor.
 
 use super::{InverseError, Prior};
 
@@ -34,7 +35,7 @@ pub const FORCE: [Hyper; 6] = [
 ];
 
 /// Steps taken, as factors.
-const FACTORS: [f64; 2] = [2.0, std::f64::consts::SQRT_2];
+const FACTORS: [f64; 1] = [2.0];
 
 /// Prior with the highest evidence found, and that evidence.
 pub fn refine(

@@ -22,8 +22,8 @@ use crate::track::Track;
 pub struct Interaction {
     /// `[read][loaded]`, crossing and stock rail.
     rails: [[RailGreens; 2]; 2],
-    /// Deflection under a wheel per static force on all wheels of the bogie, m/N, along x: `[rail][companion at larger x]`.
-    static_compliance: [[CubicSpline; 2]; 2],
+    /// Deflection under a wheel per static force on its companion's wheels, m/N, along x: `[rail][companion at larger x]`.
+    companion: [[CubicSpline; 2]; 2],
     bogie: BogieResponses,
     sampling: GreensSampling,
     hertz_constant_n_m15: f64,
@@ -48,6 +48,8 @@ pub struct Motion<'a> {
     /// Factorised compliance of the contacts, in the order leading crossing, leading stock, trailing crossing, trailing
     /// stock; every one on its wheel's own clock.
     compliance: PartialPivLu<f64>,
+    /// Deflection of each rail under the wheel's own constant load on both rails, per newton, `[crossing, stock]`.
+    moving_load: [Vec<f64>; 2],
 }
 
 /// Axle (0 leading, 1 trailing) and rail (0 crossing, 1 stock).
@@ -67,7 +69,7 @@ impl Interaction {
     ) -> Self {
         Self {
             rails: RailGreens::of_both_rails(track, ballast_n_m2, half_m, sampling),
-            static_compliance: static_compliance(track, ballast_n_m2, half_m, vehicle.axle_spacing_m),
+            companion: companion_compliance(track, ballast_n_m2, half_m, vehicle.axle_spacing_m),
             bogie: BogieResponses::new(vehicle, sampling),
             sampling,
             hertz_constant_n_m15: vehicle.hertz_constant_n_m15,
@@ -90,6 +92,10 @@ impl Interaction {
         let to_leading = self.bogie.other_wheelset(delay);
         let to_trailing = self.bogie.other_wheelset(-delay);
         let mut compliance = Mat::zeros(4 * n, 4 * n);
+        let mut moving_load = [vec![0.0; n], vec![0.0; n]];
+        let reach = position_m.iter().fold(0.0, |m: f64, x| m.max(x.abs()));
+        let coming =
+            |i: usize| if i < n / 2 { 1.0 - taper(reach - position_m[i].abs(), 0.0, RAMP_M) } else { 1.0 };
         for (read_axle, read) in CONTACTS {
             for (loaded_axle, loaded) in CONTACTS {
                 let series = match loaded_axle - read_axle {
@@ -99,7 +105,13 @@ impl Interaction {
                 };
                 let mut block = toeplitz(series, n);
                 if read_axle == loaded_axle {
-                    block += self.rails[read][loaded].kernel(position_m);
+                    let rail = self.rails[read][loaded].kernel(position_m);
+                    if read_axle == 0 {
+                        for (k, deflection) in moving_load[read].iter_mut().enumerate() {
+                            *deflection += (0..n).map(|j| coming(j) * rail[(k, j)]).sum::<f64>();
+                        }
+                    }
+                    block += rail;
                 }
                 let (row, column) = (read_axle as usize * 2 + read, loaded_axle as usize * 2 + loaded);
                 compliance.submatrix_mut(row * n, column * n, n, n).copy_from(&block);
@@ -109,7 +121,7 @@ impl Interaction {
             compliance[(i, i)] += contact;
         }
         let compliance = compliance.partial_piv_lu();
-        Motion { interaction: self, position_m, direction, static_force_n, compliance }
+        Motion { interaction: self, position_m, direction, static_force_n, compliance, moving_load }
     }
 }
 
@@ -147,9 +159,10 @@ impl Motion<'_> {
         })
     }
 
-    /// Variation of the deflection under the static load along the positions, metres, relative to the ends, where it
-    /// fades in: a constant deflection moves the whole vehicle and makes no force. One column.
-    pub fn static_deflection_m(&self) -> Contacts {
+    /// Variation of the deflection under the constant load along the positions, metres, relative to the ends, where it
+    /// fades in: a constant deflection moves the whole vehicle and makes no force. The ballast's damping makes the
+    /// deflection lag behind that of a standing load by several milliseconds. One column.
+    pub fn load_deflection_m(&self) -> Contacts {
         let n = self.position_m.len();
         let reach = self.position_m.iter().fold(0.0, |m: f64, x| m.max(x.abs()));
         [0, 1].map(|axle: usize| {
@@ -157,30 +170,29 @@ impl Motion<'_> {
             let companion_ahead_in_x = (axle == 1) == (self.direction > 0.0);
             [0, 1].map(|rail: usize| {
                 let spline =
-                    &self.interaction.static_compliance[rail][usize::from(companion_ahead_in_x)];
-                let value = |x: f64| self.static_force_n * spline.at(x);
-                let ends: Vec<f64> = self
-                    .position_m
-                    .iter()
-                    .filter(|x| x.abs() > reach - END_M)
-                    .map(|x| value(*x))
+                    &self.interaction.companion[rail][usize::from(companion_ahead_in_x)];
+                let value: Vec<f64> = (0..n)
+                    .map(|i| {
+                        self.static_force_n * (self.moving_load[rail][i] + spline.at(self.position_m[i]))
+                    })
                     .collect();
+                let from_end = |i: usize| reach - self.position_m[i].abs();
+                let ends: Vec<f64> =
+                    (0..n).filter(|i| (RAMP_M..END_M).contains(&from_end(*i))).map(|i| value[i]).collect();
                 let level = crate::signal::mean(&ends);
-                Mat::from_fn(n, 1, |i, _| {
-                    let x = self.position_m[i];
-                    (value(x) - level) * (1.0 - taper(reach - x.abs(), 0.0, END_M))
-                })
+                Mat::from_fn(n, 1, |i, _| (value[i] - level) * (1.0 - taper(from_end(i), RAMP_M, END_M)))
             })
         })
     }
 }
 
-/// Length of the ends of the stretch of unknown forces over which the deflection fades in: two sleeper bays.
-const END_M: f64 = 1.2;
+/// Ends of the stretch of unknown forces: the load comes on over the first, the deflection fades in up to the second.
+const RAMP_M: f64 = 0.6;
+const END_M: f64 = 1.8;
 
-/// Deflection of each rail under a wheel of a bogie with unit static forces on all four contacts:
-/// `[rail][companion at larger x]`.
-fn static_compliance(
+/// Deflection of each rail under a wheel of a bogie per static force on both wheels of its companion:
+/// `[rail][companion at larger x]`. The companion is far enough away for its standing load to do.
+fn companion_compliance(
     track: &Track,
     ballast_n_m2: &[f64],
     half_m: f64,
@@ -192,15 +204,14 @@ fn static_compliance(
     let x: Vec<f64> = nodes.iter().map(|i| track.node_x_m[*i]).collect();
     let deflection = track.static_deflections_under_axle(ballast_n_m2, &nodes);
     [0, 1].map(|rail: usize| {
+        let shapes: Vec<Option<CubicSpline>> =
+            deflection.iter().map(|d| CubicSpline::new(&x, &d[rail])).collect();
         [-1.0, 1.0].map(|toward: f64| {
-            let y: Vec<f64> = (0..nodes.len())
-                .map(|i| {
-                    // By reciprocity, what this wheel's load does at the companion is what the companion's does here.
-                    let there = CubicSpline::new(&x, &deflection[i][rail]);
-                    let companion = there.map_or(0.0, |s| s.at(x[i] + toward * axle_spacing_m));
-                    deflection[i][rail][i] + companion
-                })
-                .collect();
+            // By reciprocity, what this wheel's load does at the companion is what the companion's does here.
+            let at = |(shape, x): (&Option<CubicSpline>, &f64)| {
+                shape.as_ref().map_or(0.0, |s| s.at(x + toward * axle_spacing_m))
+            };
+            let y: Vec<f64> = shapes.iter().zip(&x).map(at).collect();
             CubicSpline::new(&x, &y).unwrap_or_else(CubicSpline::zero)
         })
     })

@@ -11,14 +11,13 @@ pub struct Hyper {
 
 /// In the order in which they matter. Ranges: from nothing measurable to the recorder's full noise, the depth of a broken
 /// crossing, a corrugated stock rail; the correlation length from one sleeper's height to a sleeper bay.
-pub const IRREGULARITY: [Hyper; 9] = [
+pub const IRREGULARITY: [Hyper; 8] = [
     Hyper { get: |p| &mut p.noise_m_s2, range: [0.005, 1.0] },
     Hyper { get: |p| &mut p.own.region, range: [2e-6, 2e-3] },
     Hyper { get: |p| &mut p.own.outside, range: [1e-6, 0.5e-3] },
     Hyper { get: |p| &mut p.own_correlation_m, range: [0.05, 0.6] },
     Hyper { get: |p| &mut p.common.region, range: [0.01e-3, 10e-3] },
     Hyper { get: |p| &mut p.common.outside, range: [2e-6, 0.5e-3] },
-    Hyper { get: |p| &mut p.common.stock, range: [2e-6, 0.15e-3] },
     Hyper { get: |p| &mut p.own.stock, range: [1e-6, 0.1e-3] },
     Hyper { get: |p| &mut p.dip_m, range: [0.1e-3, 10e-3] },
 ];

@@ -62,7 +62,7 @@ impl Prior {
     pub fn starting(direction: f64) -> Self {
         Self {
             region_m: [-1.2 + 0.3 * direction, 1.2 + 0.3 * direction],
-            common: Spread { region: 0.6e-3, outside: 0.06e-3, stock: 0.12e-3 },
+            common: Spread { region: 0.3e-3, outside: 0.05e-3, stock: 0.03e-3 },
             own: Spread { region: 60e-6, outside: 10e-6, stock: 10e-6 },
             own_correlation_m: 0.15,
             edge_m: 0.25,

@@ -118,7 +118,7 @@ pub fn mean_deviations_n(
         Excitation::Force => profile,
         Excitation::Irregularity(interaction) => {
             let motion = running.on(interaction, position_m);
-            let deflection = motion.static_deflection_m();
+            let deflection = motion.load_deflection_m();
             motion.solve(&[0, 1].map(|a: usize| [0, 1].map(|r: usize| &profile[a][r] + &deflection[a][r])))
         }
     };

@@ -1,7 +1,6 @@
 //! Contact force of every wheelset, with intervals that hold what is not known of forces, noise, ballast and positions.
 
 use faer::Mat;
-use faer::linalg::solvers::Solve as _;
 use rayon::prelude::*;
 
 use crate::identify::IdentifiedSite;
@@ -109,10 +108,9 @@ impl Spread {
             .min_by(|a, b| (speeds[*a] - usual).abs().total_cmp(&(speeds[*b] - usual).abs()))
             .unwrap_or(0);
         let position_m = positions_m(site, index);
-        let covariance = shared_covariance(site);
         let sd_n = kinds(&site.pattern)
             .iter()
-            .map(|kind| sds_of(site, kind, index, &position_m, &covariance))
+            .map(|kind| sds_of(site, kind, index, &position_m))
             .collect::<Result<_, _>>()?;
         Ok(Self { position_m, sd_n })
     }
@@ -123,66 +121,68 @@ impl Spread {
     }
 }
 
-/// Covariance of (profile, position, ballast): position and ballast as the calibration knows them, the profile as it
-/// follows from them at the full band.
-fn shared_covariance(site: &IdentifiedSite) -> Mat<f64> {
-    let wide = &site.posterior.covariance;
-    let q = site.ballast.with_position.len();
-    let p = wide.nrows() - q;
-    let across = wide.submatrix(0, p, p + q, q);
-    let Ok(factor) = wide.submatrix(p, p, q, q).to_owned().llt(faer::Side::Lower) else {
-        return wide.clone();
-    };
-    let regression = factor.solve(across.transpose()).transpose().to_owned();
-    let known = Mat::from_fn(q, q, |i, j| site.ballast.with_position[i][j]);
-    let change = known - wide.submatrix(p, p, q, q);
-    wide + &regression * change * regression.transpose()
-}
-
-/// Of the axles of one kind: own deviation, load and noise from the estimator; profile and ballast, which all wheels
-/// share, from the site's posterior; the position that all passages share from the calibration.
+/// Of the axles of one kind: own deviation, load and noise; what is left unknown of the common profile; ballast and the
+/// position that all passages share, from the calibration.
 fn sds_of(
     site: &IdentifiedSite,
     kind: &GroupKind,
     index: usize,
     position_m: &[f64],
-    covariance: &Mat<f64>,
 ) -> Result<Vec<Vec<f64>>, InverseError> {
     let geometry = geometry(site, kind, index);
     let estimator = Estimator::new(&model(site), &geometry, &site.prior, &site.profile)?;
-    let expected = |greens| {
-        let model = TrackModel { greens, excitation: Excitation::Force };
-        expected_window(&model, &geometry, &site.prior, &site.profile)
-    };
-    let n = estimator.len();
-    let mut columns: Mat<f64> = Mat::zeros(n, 4);
+    let gains = estimator.gains(position_m, LOW_PASS_HZ, &site.profile);
+    let ballast = ballast_sensitivity(site, &geometry, position_m)?;
+    let p = site.profile.value.len();
+    let profile_covariance = site.posterior.covariance.submatrix(0, 0, p, p);
+    let known: Mat<f64> = Mat::from_fn(3, 3, |i, j| site.ballast.covariance[i][j]);
+    let sds = gains.iter().zip(&ballast).map(|(axle, ballast)| {
+        let own: Vec<f64> = axle.sd_n.iter().map(|s| s * s).collect();
+        let profile = variances(&axle.profile, &(&axle.profile * profile_covariance));
+        let ballast = variances(ballast, &(ballast * &known));
+        let slope = slope_n_m(position_m, &axle.base_n);
+        let sd = |i: usize| {
+            let position = (slope[i] * site.ballast.shift_sd_m).powi(2);
+            (own[i] + profile[i] + ballast[i] + position).sqrt()
+        };
+        (0..position_m.len()).map(sd).collect()
+    });
+    Ok(sds.collect())
+}
+
+/// Change of the forces of every axle per (ln p1, ln p2, p3), newtons, if every wheel stood for itself: what a wrong ballast
+/// puts into all wheels alike, the common profile takes over as well.
+fn ballast_sensitivity(
+    site: &IdentifiedSite,
+    geometry: &GroupGeometry,
+    position_m: &[f64],
+) -> Result<Vec<Mat<f64>>, InverseError> {
+    let prior = site.prior.with_common_as_own();
+    let estimator = Estimator::new(&model(site), geometry, &prior, &site.profile)?;
+    let mut columns: Mat<f64> = Mat::zeros(estimator.len(), 3);
     for (k, (greens, step)) in site.nearby_greens.iter().enumerate() {
-        let moved = expected(greens);
-        for i in 0..n {
-            columns[(i, 1 + k)] = (moved[i] - estimator.expected_m_s2[i]) / step;
+        let moved = TrackModel { greens, excitation: Excitation::Force };
+        let expected = expected_window(&moved, geometry, &prior, &site.profile);
+        for (i, value) in expected.iter().enumerate() {
+            columns[(i, k)] = (value - estimator.expected_m_s2[i]) / step;
         }
     }
-    for i in 0..n {
-        // A wheel that comes later by X moves the window by −X ȧ/v.
-        columns[(i, 0)] = -estimator.expected_slope_m_s3[i] / geometry.running.speed_m_s;
-    }
-    let (p, m) = (site.profile.value.len(), site.posterior.covariance.nrows());
     let gains = estimator.gains(position_m, LOW_PASS_HZ, &site.profile);
-    Ok(gains
-        .iter()
-        .map(|axle| {
-            let others = -(&axle.gain * &columns);
-            let g = position_m.len();
-            let mut sensitivity = Mat::zeros(g, m);
-            sensitivity.submatrix_mut(0, 0, g, p).copy_from(&axle.profile);
-            sensitivity.submatrix_mut(0, p, g, m - p).copy_from(others.subcols(0, m - p));
-            let spread = &sensitivity * covariance;
-            (0..g)
-                .map(|i| {
-                    let shared: f64 = (0..m).map(|j| spread[(i, j)] * sensitivity[(i, j)]).sum();
-                    (axle.sd_n[i].powi(2) + shared.max(0.0)).sqrt()
-                })
-                .collect()
+    Ok(gains.iter().map(|axle| -(&axle.gain * &columns)).collect())
+}
+
+/// Diagonal of a · bᵀ.
+fn variances(a: &Mat<f64>, b: &Mat<f64>) -> Vec<f64> {
+    (0..a.nrows()).map(|i| (0..a.ncols()).map(|j| a[(i, j)] * b[(i, j)]).sum::<f64>().max(0.0)).collect()
+}
+
+/// Slope of a force along equidistant positions by central differences, N/m.
+fn slope_n_m(position_m: &[f64], force_n: &[f64]) -> Vec<f64> {
+    let last = position_m.len().saturating_sub(1);
+    (0..position_m.len())
+        .map(|i| {
+            let (a, b) = (i.saturating_sub(1), (i + 1).min(last));
+            (force_n[b] - force_n[a]) / (position_m[b] - position_m[a])
         })
-        .collect())
+        .collect()
 }

@@ -4,7 +4,7 @@ use crate::ballast::BallastParameters;
 use crate::ballast::evidence::{Calibration, EvidenceFit, DIFFERENCE, EvidenceProblem, TEMPERATURE, realign};
 use crate::ballast::quasi_static::{QuasiStatic, QuasiStaticFit};
 use crate::greens::{Chain, GreensFunctions, GreensSampling, Quantity};
-use crate::inverse::hierarchy::{Moved, SiteModel, SitePassage, SitePosterior};
+use crate::inverse::hierarchy::{SiteModel, SitePassage, SitePosterior};
 use crate::inverse::hyper::{FORCE, refine};
 use crate::inverse::{CommonProfile, Estimator, Excitation, InverseError, Prior, ProfileGrids, TrackModel};
 use crate::progress::Progress;
@@ -124,17 +124,7 @@ pub fn identify<'s>(site: &'s Site, progress: &dyn Progress) -> Result<Identifie
     let greens = wide_greens(&track, &ballast.parameters);
     let nearby_greens =
         [0, 1, 2].map(|k| (wide_greens(&track, &ballast.parameters.moved(k, DIFFERENCE[k])), DIFFERENCE[k]));
-    let moved: Vec<Moved> = nearby_greens
-        .iter()
-        .enumerate()
-        .map(|(k, (greens, step))| Moved {
-            model: TrackModel { greens, excitation: Excitation::Force },
-            step: *step,
-            prior: (0.0, ballast.covariance[k][k].sqrt()),
-        })
-        .collect();
-    let (prior, posterior) = common_force(&greens, &moved, direction, &pattern, &mut passages, progress)?;
-    drop(moved);
+    let (prior, posterior) = common_force(&greens, direction, &pattern, &mut passages, progress)?;
     let timings = passages.iter().map(|p| p.timing).collect();
     Ok(IdentifiedSite {
         site,
@@ -217,7 +207,6 @@ fn calibrate(
 /// Force profile that all wheels share at the full band, with the axle times.
 fn common_force(
     greens: &GreensFunctions,
-    moved: &[Moved],
     direction: f64,
     pattern: &AxlePattern,
     passages: &mut [SitePassage],
@@ -227,10 +216,10 @@ fn common_force(
     let start = Prior::common_force(direction);
     let mean_speed = mean(&passages.iter().map(|p| p.timing.speed_m_s).collect::<Vec<_>>());
     let grids = ProfileGrids::force(start.half_m, PROFILE_STEP_M.0, PROFILE_STEP_M.1, mean_speed);
-    let posterior = |prior: &Prior, moved: &[Moved], profile: &CommonProfile, passages: &[SitePassage]| {
+    let posterior = |prior: &Prior, profile: &CommonProfile, passages: &[SitePassage]| {
         SiteModel {
             model: TrackModel { greens, excitation: Excitation::Force },
-            moved: moved.to_vec(),
+            moved: Vec::new(),
             direction,
             pattern,
             prior,
@@ -244,13 +233,13 @@ fn common_force(
     };
     let zero = CommonProfile::zero(grids);
     let some = spread_out(passages, HYPER_PASSAGES);
-    let evidence = |prior: &Prior| Ok(posterior(prior, &[], &zero, &some)?.log_evidence);
+    let evidence = |prior: &Prior| Ok(posterior(prior, &zero, &some)?.log_evidence);
     let (prior, _) = refine(&start, &FORCE, &evidence)?;
     progress.step();
     // The profile that a few passages show is good enough to linearise about.
-    let rough = posterior(&prior, &[], &zero, &some)?.profile;
+    let rough = posterior(&prior, &zero, &some)?.profile;
     progress.step();
-    let all = posterior(&prior, moved, &rough, passages)?;
+    let all = posterior(&prior, &rough, passages)?;
     realign(passages, &all);
     progress.step();
     Ok((prior, all))

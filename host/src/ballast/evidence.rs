@@ -70,8 +70,8 @@ pub struct EvidenceFit {
     pub parameters: BallastParameters,
     /// Posterior covariance of (ln p1, ln p2, p3).
     pub covariance: [[f64; 3]; 3],
-    /// Posterior covariance of (position error that all passages share in metres, ln p1, ln p2, p3).
-    pub with_position: [[f64; 4]; 4],
+    /// Standard deviation of the position error that all passages share, metres.
+    pub shift_sd_m: f64,
     /// Log evidence there, priors of the parameters included.
     pub log_evidence: f64,
     /// Linearisations.
@@ -105,7 +105,7 @@ impl EvidenceProblem<'_> {
                 return Ok(EvidenceFit {
                     parameters: state.ballast,
                     covariance: last_of(&posterior.covariance),
-                    with_position: last_of(&posterior.covariance),
+                    shift_sd_m: posterior.mean_shift_sd_m,
                     log_evidence: posterior.log_evidence,
                     evaluations,
                 });

@@ -75,6 +75,8 @@ pub struct SitePosterior {
     pub covariance: Mat<f64>,
     /// Common position error X, metres: the wheels are at x = 0 later by X/v than assumed.
     pub common_shift_m: f64,
+    /// Standard deviation of the position error averaged over the passages, metres.
+    pub mean_shift_sd_m: f64,
     /// Change of the track parameters θ − θ₀.
     pub parameters: Vec<f64>,
     /// Position error of every passage, common part included, metres.
@@ -174,7 +176,26 @@ impl SiteModel<'_> {
         let misfit_ratio = (misfit.max(0.0) / samples.max(1) as f64).sqrt();
         let mean = &centre + &root * &solved;
         let covariance = self.tempered(&root * factor.solve(root.transpose()));
-        Ok(SitePosterior { log_evidence, misfit_ratio, covariance, ..self.means(statistics, &mean) })
+        let mean_shift_sd_m = self.mean_shift_sd_m(statistics, &covariance);
+        let means = self.means(statistics, &mean);
+        Ok(SitePosterior { log_evidence, misfit_ratio, covariance, mean_shift_sd_m, ..means })
+    }
+
+    /// A passage's own position follows what is shared: X + x_i moves with (c, X, θ) by a row h, and the mean row gives the
+    /// uncertainty that averaging over passages does not remove.
+    fn mean_shift_sd_m(&self, statistics: &[Statistics], covariance: &Mat<f64>) -> f64 {
+        let m = covariance.nrows();
+        let count = statistics.len().max(1) as f64;
+        let mut row = Mat::zeros(1, m);
+        row[(0, self.profile.grids.len())] = 1.0;
+        for s in statistics {
+            for i in 0..m {
+                let follows: f64 = (0..OWN).map(|k| s.own_covariance[0][k] * s.own_coupling[(i, k)]).sum();
+                row[(0, i)] -= follows / count;
+            }
+        }
+        let variance = (&row * covariance * row.transpose())[(0, 0)];
+        variance.max(0.0).sqrt()
     }
 
     /// Widens the covariance of (X, θ) by the temperature; the profile follows by its regression on them.
@@ -201,6 +222,7 @@ impl SiteModel<'_> {
             },
             covariance: Mat::zeros(0, 0),
             common_shift_m,
+            mean_shift_sd_m: 0.0,
             parameters: (p + 1..mean.nrows()).map(|i| mean[(i, 0)]).collect(),
             shift_m: own.iter().map(|o| common_shift_m + o[0]).collect(),
             stretch: own.iter().map(|o| o[1]).collect(),

@@ -94,6 +94,16 @@ impl Prior {
         }
     }
 
+    /// Nothing shared: what the wheels could have in common, each may have for itself. For a prior of forces.
+    pub fn with_common_as_own(&self) -> Self {
+        let own = Spread {
+            region: self.common.region.hypot(self.own.region),
+            outside: self.common.outside.hypot(self.own.outside),
+            stock: self.common.stock.hypot(self.own.stock),
+        };
+        Self { own, ..self.clone() }
+    }
+
     /// Every wheel stands for itself: a wide prior of its force, nothing shared.
     pub fn each_wheel_for_itself(direction: f64) -> Self {
         Self {

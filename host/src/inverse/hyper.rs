@@ -24,13 +24,12 @@ pub const IRREGULARITY: [Hyper; 8] = [
 
 /// Those of a common force profile: up to the recorder's full noise and the size of the static force; the rails outside the
 /// region and the stock rail are smooth.
-pub const FORCE: [Hyper; 6] = [
+pub const FORCE: [Hyper; 5] = [
     Hyper { get: |p| &mut p.noise_m_s2, range: [0.04, 1.0] },
     Hyper { get: |p| &mut p.own.region, range: [200.0, 60e3] },
     Hyper { get: |p| &mut p.own.outside, range: [200.0, 20e3] },
     Hyper { get: |p| &mut p.own.stock, range: [100.0, 1.2e3] },
     Hyper { get: |p| &mut p.correlation_s, range: [0.7e-3, 5e-3] },
-    Hyper { get: |p| &mut p.slow_n, range: [100.0, 5e3] },
 ];
 
 /// Steps taken, as factors.

@@ -16,8 +16,8 @@ pub(super) struct Influence {
     layout: Layout,
     /// Sleepers on either side that are kept.
     reach: usize,
-    /// `[point][dof][row][lane]`.
-    rows: Vec<f64>,
+    /// `[point][row][quad of lanes][dof]`.
+    rows: Vec<[Quad; 4]>,
     /// `[point]`: motion of degree of freedom a per load on b.
     own: Vec<[[f64; 4]; 4]>,
     /// Largest part cut off, relative to the row's largest value, both rails.
@@ -32,11 +32,11 @@ impl Influence {
         let mut influence = Self {
             layout,
             reach,
-            rows: vec![0.0; points * 4 * layout.rows() * width(reach)],
+            rows: vec![[[0.0; 4]; 4]; points * layout.rows() * quads(reach)],
             own: vec![[[0.0; 4]; 4]; points],
             cut_off: 0.0,
         };
-        let mut scratch = Scratch::new(layout);
+        let mut scratch = Columns::new(layout);
         for side in 0..2 {
             for bay in 0..layout.sleepers {
                 for element in 0..layout.nodes_per_bay {
@@ -70,14 +70,13 @@ impl Influence {
     fn store_for(&mut self, column: &[f64], side: usize, [bay, element]: [usize; 2], dof: usize) {
         let (layout, reach) = (self.layout, self.reach);
         let point = self.point(side, bay, element);
-        let width = width(reach);
         let first = self.first_lane(side, bay);
         for row in 0..layout.rows() {
-            let target = ((point * 4 + dof) * layout.rows() + row) * width;
-            for k in 0..width {
+            let target = (point * layout.rows() + row) * quads(reach);
+            for k in 0..4 * quads(reach) {
                 let sleeper = (first + k) as i64 - (side * layout.stride) as i64;
                 if sleeper >= 0 && sleeper < layout.sleepers as i64 {
-                    self.rows[target + k] = column[row * layout.row + first + k];
+                    self.rows[target + k / 4][dof][k % 4] = column[row * layout.row + first + k];
                 }
             }
         }
@@ -94,29 +93,33 @@ impl Influence {
     /// First lane of the window around a bay; windows at the rail ends are moved inwards.
     #[inline(always)]
     fn first_lane(&self, side: usize, bay: usize) -> usize {
-        let most = (self.layout.row - width(self.reach))
-            .min(side * self.layout.stride + self.layout.stride.saturating_sub(width(self.reach) - 1));
+        let most = (self.layout.row - 4 * quads(self.reach))
+            .min(side * self.layout.stride + self.layout.stride.saturating_sub(4 * quads(self.reach) - 1));
         (side * self.layout.stride + bay.saturating_sub(self.reach)).min(most)
     }
 
     /// Rate of the point under the loads `rhs`.
     #[inline(always)]
     pub fn rate(&self, point: &RailPoint, rhs: &[f64]) -> f64 {
-        let (layout, width) = (self.layout, width(self.reach));
+        let (layout, quads) = (self.layout, quads(self.reach));
         let first = self.first_lane(point.side, point.bay);
-        let index = self.point(point.side, point.bay, point.element);
-        let mut total = 0.0;
-        for (dof, weight) in point.weights.iter().enumerate() {
-            let mut sum = 0.0;
-            for row in 0..layout.rows() {
-                let start = ((index * 4 + dof) * layout.rows() + row) * width;
-                let a = &self.rows[start..start + width];
-                let b = &rhs[row * layout.row + first..row * layout.row + first + width];
-                sum += dot(a, b);
+        let index = self.point(point.side, point.bay, point.element) * layout.rows() * quads;
+        let mut sums: [Quad; 4] = [[0.0; 4]; 4];
+        let rows = self.rows[index..index + layout.rows() * quads].chunks_exact(quads);
+        for (row, influence) in rows.enumerate() {
+            let start = row * layout.row + first;
+            let loads: &[Quad] = rhs[start..start + 4 * quads].as_chunks().0;
+            for (of_dofs, load) in influence.iter().zip(loads) {
+                let load = *load;
+                for (sum, values) in sums.iter_mut().zip(of_dofs) {
+                    for l in 0..4 {
+                        sum[l] += values[l] * load[l];
+                    }
+                }
             }
-            total += weight * sum;
         }
-        total
+        let total = |sum: &Quad| (sum[0] + sum[1]) + (sum[2] + sum[3]);
+        sums.iter().zip(&point.weights).map(|(sum, weight)| weight * total(sum)).sum()
     }
 
     /// Rate of the point per force on it, 1/(N s)·m.
@@ -133,45 +136,54 @@ impl Influence {
     }
 }
 
-/// Lanes of a window, a multiple of four.
+/// Four neighbouring lanes.
+type Quad = [f64; 4];
+
+/// Quads of lanes in a window.
 #[inline(always)]
-fn width(reach: usize) -> usize {
-    (2 * reach + 2).div_ceil(4) * 4
+fn quads(reach: usize) -> usize {
+    (2 * reach + 2).div_ceil(4)
 }
 
-#[inline(always)]
-fn dot(a: &[f64], b: &[f64]) -> f64 {
-    let mut sum = [0.0; 4];
-    for (x, y) in a.chunks_exact(4).zip(b.chunks_exact(4)) {
-        for l in 0..4 {
-            sum[l] += x[l] * y[l];
-        }
-    }
-    (sum[0] + sum[1]) + (sum[2] + sum[3])
-}
-
-struct Scratch {
-    values: Vec<f64>,
+struct Columns {
+    load: Vec<f64>,
+    motion: Vec<f64>,
     seats: Vec<Seat>,
 }
 
-impl Scratch {
+impl Columns {
     fn new(layout: Layout) -> Self {
-        Self { values: vec![0.0; layout.rows() * layout.row], seats: vec![[0.0; 4]; layout.sleepers] }
+        let rails = || vec![0.0; layout.rows() * layout.row];
+        Self { load: rails(), motion: rails(), seats: vec![[0.0; 4]; layout.sleepers] }
     }
 
     /// Motion of the rails under a unit load on one degree of freedom.
     fn column(&mut self, effective: &Effective, loaded: usize) -> &[f64] {
-        self.values.fill(0.0);
-        self.values[loaded] = 1.0;
-        effective.solve_rails(&mut self.values, &mut self.seats);
-        &self.values
+        self.load.fill(0.0);
+        self.load[loaded] = 1.0;
+        pulp::Arch::new().dispatch(Solve { effective, columns: self });
+        &self.motion
+    }
+}
+
+struct Solve<'a> {
+    effective: &'a Effective,
+    columns: &'a mut Columns,
+}
+
+impl pulp::WithSimd for Solve<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, simd: S) {
+        let Columns { load, motion, seats } = self.columns;
+        self.effective.solve_rails(simd, load, motion, seats);
     }
 }
 
 /// Sleepers to keep on either side, from loads on a few places along the track.
 fn reach(layout: Layout, effective: &Effective) -> usize {
-    let mut scratch = Scratch::new(layout);
+    let mut scratch = Columns::new(layout);
     let mut reach = 1;
     for bay in (0..layout.sleepers).step_by(5) {
         for dof in 0..2 {

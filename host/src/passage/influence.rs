@@ -3,12 +3,15 @@
 //! Within one time step a force moves only the rail around it; the reach is a few decay lengths (EI dt²/4m)^¼, 0.13 m at
 //! 1e-4 s. So the contact force of a wheel can be found before the track is solved, from the loads near the wheel.
 
+use pulp::Simd;
+
 use super::chain::Seat;
 use super::effective::Effective;
-use super::model::{Layout, RailPoint, TrackModel};
+use super::model::{CHUNK, Lanes, Layout, RailPoint, TrackModel};
+use super::vectors::{of_chunks, parts, vectors, vectors_mut};
 
-/// Rows are cut where they fall below this part of their largest value.
-const CUT: f64 = 1e-9;
+/// Rows are cut where they fall below this part of their largest value: a load of 100 kN leaves out the motion of 0.01 N.
+const CUT: f64 = 1e-7;
 
 /// Cut rows for the four degrees of freedom of every element.
 #[derive(Clone, Debug)]
@@ -16,8 +19,8 @@ pub(super) struct Influence {
     layout: Layout,
     /// Sleepers on either side that are kept.
     reach: usize,
-    /// `[point][row][quad of lanes][dof]`.
-    rows: Vec<[Quad; 4]>,
+    /// `[point][row][dof][chunk of lanes]`.
+    rows: Vec<Lanes>,
     /// `[point]`: motion of degree of freedom a per load on b.
     own: Vec<[[f64; 4]; 4]>,
     /// Largest part cut off, relative to the row's largest value, both rails.
@@ -32,7 +35,7 @@ impl Influence {
         let mut influence = Self {
             layout,
             reach,
-            rows: vec![[[0.0; 4]; 4]; points * layout.rows() * quads(reach)],
+            rows: vec![[0.0; CHUNK]; points * layout.rows() * 4 * chunks(reach)],
             own: vec![[[0.0; 4]; 4]; points],
             cut_off: 0.0,
         };
@@ -72,11 +75,11 @@ impl Influence {
         let point = self.point(side, bay, element);
         let first = self.first_lane(side, bay);
         for row in 0..layout.rows() {
-            let target = (point * layout.rows() + row) * quads(reach);
-            for k in 0..4 * quads(reach) {
+            let target = ((point * layout.rows() + row) * 4 + dof) * chunks(reach);
+            for k in 0..CHUNK * chunks(reach) {
                 let sleeper = (first + k) as i64 - (side * layout.stride) as i64;
                 if sleeper >= 0 && sleeper < layout.sleepers as i64 {
-                    self.rows[target + k / 4][dof][k % 4] = column[row * layout.row + first + k];
+                    self.rows[target + k / CHUNK][k % CHUNK] = column[row * layout.row + first + k];
                 }
             }
         }
@@ -93,33 +96,42 @@ impl Influence {
     /// First lane of the window around a bay; windows at the rail ends are moved inwards.
     #[inline(always)]
     fn first_lane(&self, side: usize, bay: usize) -> usize {
-        let most = (self.layout.row - 4 * quads(self.reach))
-            .min(side * self.layout.stride + self.layout.stride.saturating_sub(4 * quads(self.reach) - 1));
+        let width = CHUNK * chunks(self.reach);
+        let most = (self.layout.row - width)
+            .min(side * self.layout.stride + self.layout.stride.saturating_sub(width - 1));
         (side * self.layout.stride + bay.saturating_sub(self.reach)).min(most)
     }
 
     /// Rate of the point under the loads `rhs`.
     #[inline(always)]
-    pub fn rate(&self, point: &RailPoint, rhs: &[f64]) -> f64 {
-        let (layout, quads) = (self.layout, quads(self.reach));
+    pub fn rate<S: Simd>(&self, simd: S, point: &RailPoint, rhs: &[f64]) -> f64 {
+        let (rows, width) = (self.layout.rows(), chunks(self.reach));
         let first = self.first_lane(point.side, point.bay);
-        let index = self.point(point.side, point.bay, point.element) * layout.rows() * quads;
-        let mut sums: [Quad; 4] = [[0.0; 4]; 4];
-        let rows = self.rows[index..index + layout.rows() * quads].chunks_exact(quads);
-        for (row, influence) in rows.enumerate() {
-            let start = row * layout.row + first;
-            let loads: &[Quad] = rhs[start..start + 4 * quads].as_chunks().0;
-            for (of_dofs, load) in influence.iter().zip(loads) {
-                let load = *load;
-                for (sum, values) in sums.iter_mut().zip(of_dofs) {
-                    for l in 0..4 {
-                        sum[l] += values[l] * load[l];
+        let index = self.point(point.side, point.bay, point.element) * rows * 4 * width;
+        let influence = of_chunks::<S>(&self.rows[index..index + rows * 4 * width]);
+        let per_row = 4 * width * parts::<S>();
+        let mut sum = [0.0; CHUNK];
+        for part in 0..parts::<S>() {
+            let mut of_dofs = [simd.splat_f64s(0.0); 4];
+            for (row, influence) in influence.chunks_exact(per_row).enumerate() {
+                let start = row * self.layout.row + first;
+                let loads = vectors::<S>(&rhs[start..start + CHUNK * width]);
+                for (dof, sum) in of_dofs.iter_mut().enumerate() {
+                    for chunk in 0..width {
+                        let load = loads[chunk * parts::<S>() + part];
+                        let at = (dof * width + chunk) * parts::<S>() + part;
+                        *sum = simd.mul_add_f64s(influence[at], load, *sum);
                     }
                 }
             }
+            let mut total = simd.splat_f64s(0.0);
+            for (of_dof, weight) in of_dofs.iter().zip(&point.weights) {
+                total = simd.mul_add_f64s(simd.splat_f64s(*weight), *of_dof, total);
+            }
+            vectors_mut::<S>(&mut sum)[part] = total;
         }
-        let total = |sum: &Quad| (sum[0] + sum[1]) + (sum[2] + sum[3]);
-        sums.iter().zip(&point.weights).map(|(sum, weight)| weight * total(sum)).sum()
+        let [a, b, c, d, e, f, g, h] = sum;
+        ((a + e) + (c + g)) + ((b + f) + (d + h))
     }
 
     /// Rate of the point per force on it, 1/(N s)·m.
@@ -136,13 +148,10 @@ impl Influence {
     }
 }
 
-/// Four neighbouring lanes.
-type Quad = [f64; 4];
-
-/// Quads of lanes in a window.
+/// Chunks of lanes in a window.
 #[inline(always)]
-fn quads(reach: usize) -> usize {
-    (2 * reach + 2).div_ceil(4)
+fn chunks(reach: usize) -> usize {
+    (2 * reach + 2).div_ceil(CHUNK)
 }
 
 struct Columns {

@@ -157,8 +157,8 @@ impl Stepper {
 
     /// Rate of a rail point at t + θ dt under everything but the loads of this step.
     #[inline(always)]
-    pub fn free_rate(&self, state: &TrackState, point: &RailPoint) -> f64 {
-        self.influence.rate(point, &state.work)
+    pub(super) fn free_rate<S: pulp::Simd>(&self, simd: S, state: &TrackState, point: &RailPoint) -> f64 {
+        self.influence.rate(simd, point, &state.work)
     }
 
     /// Rate of a rail point per newton on it.
@@ -447,7 +447,8 @@ mod tests {
         for n in 0..200 {
             stepper.begin(&mut state);
             let force = 1e4 * (1.0 + f64::from(n).sin());
-            let expected = points.map(|p| stepper.free_rate(&state, &p) + force * stepper.compliance(&p));
+            let expected = points
+                .map(|p| stepper.free_rate(pulp::Scalar::new(), &state, &p) + force * stepper.compliance(&p));
             let before = points.map(|p| stepper.rail_m(&state, &p));
             for point in &points {
                 stepper.load(&mut state, point, force);

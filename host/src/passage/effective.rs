@@ -131,15 +131,13 @@ impl Effective {
     fn eliminate_bays<S: Simd>(&self, simd: S, rhs: &mut [f64]) {
         let (row, lanes, m) = (self.layout.row, self.layout.lanes(), 2 * (self.layout.nodes_per_bay - 1));
         let (seats, interior) = rhs.split_at_mut(2 * row);
-        for i in 0..m {
-            let load = vectors::<S>(&interior[i * row..i * row + lanes]);
+        for pair in 0..m / 2 {
+            let loads = [2 * pair, 2 * pair + 1].map(|i| vectors::<S>(&interior[i * row..i * row + lanes]));
             for a in 0..4 {
-                let at = (i * 4 + a) * row;
-                let gain = &vectors::<S>(&self.interior_gain[at..at + lanes])[..load.len()];
-                let target = &mut vectors_mut::<S>(seat_row(seats, a, row, lanes))[..load.len()];
-                for l in 0..load.len() {
-                    target[l] = simd.mul_add_f64s(gain[l], load[l], target[l]);
-                }
+                let gains = [2 * pair, 2 * pair + 1].map(|i| self.gain::<S>(i, a));
+                let start = (a % 2) * row + a / 2;
+                let target = vectors_mut::<S>(&mut seats[start..start + lanes]);
+                add_products(simd, target, &gains, &loads);
             }
         }
     }
@@ -149,32 +147,66 @@ impl Effective {
     fn recover_bays<S: Simd>(&self, simd: S, loads: &[f64], x: &mut [f64]) {
         let (row, lanes, m) = (self.layout.row, self.layout.lanes(), 2 * (self.layout.nodes_per_bay - 1));
         let (seats, interior) = x.split_at_mut(2 * row);
+        let seats = [0, row, 1, row + 1].map(|at| vectors::<S>(&seats[at..at + lanes]));
         for i in 0..m {
             let target = vectors_mut::<S>(&mut interior[i * row..i * row + lanes]);
-            target.fill(simd.splat_f64s(0.0));
-            let mut add = |factor: &[f64], value: &[f64]| {
-                let (factor, value) = (vectors::<S>(factor), vectors::<S>(value));
-                for ((t, f), v) in target.iter_mut().zip(factor).zip(value) {
-                    *t = simd.mul_add_f64s(*f, *v, *t);
-                }
-            };
-            for j in 0..m {
-                let (at, load) = ((i * m + j) * row, (2 + j) * row);
-                add(&self.interior_inverse[at..at + lanes], &loads[load..load + lanes]);
-            }
-            for a in 0..4 {
-                let (at, seat) = ((i * 4 + a) * row, (a % 2) * row + a / 2);
-                add(&self.interior_gain[at..at + lanes], &seats[seat..seat + lanes]);
+            set_products(simd, target, &[0, 1, 2, 3].map(|a| self.gain::<S>(i, a)), &seats);
+            for pair in 0..m / 2 {
+                let of = [2 * pair, 2 * pair + 1];
+                let inverse = of.map(|j| {
+                    let at = (i * m + j) * row;
+                    vectors::<S>(&self.interior_inverse[at..at + lanes])
+                });
+                let loads = of.map(|j| vectors::<S>(&loads[(2 + j) * row..(2 + j) * row + lanes]));
+                add_products(simd, target, &inverse, &loads);
             }
         }
     }
+
+    /// Motion of value `i` inside the bays per motion of degree of freedom `a` of their ends.
+    #[inline(always)]
+    fn gain<S: Simd>(&self, i: usize, a: usize) -> &[S::f64s] {
+        let at = (i * 4 + a) * self.layout.row;
+        vectors::<S>(&self.interior_gain[at..at + self.layout.lanes()])
+    }
 }
 
-/// Row of the seats that degree of freedom `a` of a bay is in: the right end is one lane on.
+/// Adds the products of rows to a row.
 #[inline(always)]
-fn seat_row(seats: &mut [f64], a: usize, row: usize, lanes: usize) -> &mut [f64] {
-    let start = (a % 2) * row + a / 2;
-    &mut seats[start..start + lanes]
+fn add_products<S: Simd, const N: usize>(
+    simd: S,
+    target: &mut [S::f64s],
+    factors: &[&[S::f64s]; N],
+    values: &[&[S::f64s]; N],
+) {
+    let count = target.len();
+    let (factors, values) = (factors.map(|row| &row[..count]), values.map(|row| &row[..count]));
+    for l in 0..count {
+        let mut sum = target[l];
+        for n in 0..N {
+            sum = simd.mul_add_f64s(factors[n][l], values[n][l], sum);
+        }
+        target[l] = sum;
+    }
+}
+
+/// Sum of the products of rows.
+#[inline(always)]
+fn set_products<S: Simd, const N: usize>(
+    simd: S,
+    target: &mut [S::f64s],
+    factors: &[&[S::f64s]; N],
+    values: &[&[S::f64s]; N],
+) {
+    let count = target.len();
+    let (factors, values) = (factors.map(|row| &row[..count]), values.map(|row| &row[..count]));
+    for l in 0..count {
+        let mut sum = simd.mul_f64s(factors[0][l], values[0][l]);
+        for n in 1..N {
+            sum = simd.mul_add_f64s(factors[n][l], values[n][l], sum);
+        }
+        target[l] = sum;
+    }
 }
 
 /// Seats of both rails on a sleeper.

@@ -8,7 +8,7 @@ use pulp::Simd;
 use super::chain::Seat;
 use super::effective::Effective;
 use super::model::{CHUNK, Lanes, Layout, RailPoint, TrackModel};
-use super::vectors::{of_chunks, parts, vectors, vectors_mut};
+use super::vectors::{parts, vectors, vectors_mut};
 
 /// Rows are cut where they fall below this part of their largest value: a load of 100 kN leaves out the motion of 0.01 N.
 const CUT: f64 = 1e-7;
@@ -19,7 +19,7 @@ pub(super) struct Influence {
     layout: Layout,
     /// Sleepers on either side that are kept.
     reach: usize,
-    /// `[point][row][dof][chunk of lanes]`.
+    /// `[point][row][chunk of lanes][dof]`.
     rows: Vec<Lanes>,
     /// `[point]`: motion of degree of freedom a per load on b.
     own: Vec<[[f64; 4]; 4]>,
@@ -75,11 +75,12 @@ impl Influence {
         let point = self.point(side, bay, element);
         let first = self.first_lane(side, bay);
         for row in 0..layout.rows() {
-            let target = ((point * layout.rows() + row) * 4 + dof) * chunks(reach);
+            let target = (point * layout.rows() + row) * chunks(reach);
             for k in 0..CHUNK * chunks(reach) {
                 let sleeper = (first + k) as i64 - (side * layout.stride) as i64;
                 if sleeper >= 0 && sleeper < layout.sleepers as i64 {
-                    self.rows[target + k / CHUNK][k % CHUNK] = column[row * layout.row + first + k];
+                    self.rows[(target + k / CHUNK) * 4 + dof][k % CHUNK] =
+                        column[row * layout.row + first + k];
                 }
             }
         }
@@ -108,19 +109,16 @@ impl Influence {
         let (rows, width) = (self.layout.rows(), chunks(self.reach));
         let first = self.first_lane(point.side, point.bay);
         let index = self.point(point.side, point.bay, point.element) * rows * 4 * width;
-        let influence = of_chunks::<S>(&self.rows[index..index + rows * 4 * width]);
-        let per_row = 4 * width * parts::<S>();
+        let influence = self.rows[index..index + rows * 4 * width].as_chunks::<4>().0;
         let mut sum = [0.0; CHUNK];
         for part in 0..parts::<S>() {
             let mut of_dofs = [simd.splat_f64s(0.0); 4];
-            for (row, influence) in influence.chunks_exact(per_row).enumerate() {
-                let start = row * self.layout.row + first;
-                let loads = vectors::<S>(&rhs[start..start + CHUNK * width]);
-                for (dof, sum) in of_dofs.iter_mut().enumerate() {
-                    for chunk in 0..width {
-                        let load = loads[chunk * parts::<S>() + part];
-                        let at = (dof * width + chunk) * parts::<S>() + part;
-                        *sum = simd.mul_add_f64s(influence[at], load, *sum);
+            for row in 0..rows {
+                for chunk in 0..width {
+                    let start = row * self.layout.row + first + chunk * CHUNK;
+                    let load = vectors::<S>(&rhs[start..start + CHUNK])[part];
+                    for (sum, values) in of_dofs.iter_mut().zip(&influence[row * width + chunk]) {
+                        *sum = simd.mul_add_f64s(vectors::<S>(values)[part], load, *sum);
                     }
                 }
             }

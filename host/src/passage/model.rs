@@ -115,7 +115,7 @@ pub struct TrackModel {
 }
 
 /// Number of sleeper modes beside the two static shapes: error against the full model in the tests of `stepper`.
-pub const SLEEPER_MODES: usize = 5;
+pub const SLEEPER_MODES: usize = 6;
 
 impl TrackModel {
     /// `supports`: one per sleeper.

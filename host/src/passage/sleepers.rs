@@ -238,6 +238,8 @@ impl Sleepers {
         let (dt, twice, per_theta) =
             (simd.splat_f64s(dt_s), simd.splat_f64s(-2.0 * dt_s), simd.splat_f64s(1.0 / theta));
         let elastic_damping = simd.splat_f64s(self.elastic_damping_s);
+        let pad_stiffness = simd.splat_f64s(-self.pad.stiffness);
+        let pad_damping = simd.splat_f64s(-self.pad.damping);
         for (chunk, ballast) in self.ballast.iter().enumerate() {
             let (k, c) = (vectors::<S>(&ballast.stiffness), vectors::<S>(&ballast.damping));
             for part in 0..p {
@@ -252,14 +254,11 @@ impl Sleepers {
                         elastic = simd.mul_add_f64s(simd.splat_f64s(*e), v[j * p + part], elastic);
                     }
                     let bed = simd.mul_f64s(simd.splat_f64s(self.bed[i]), v[at]);
-                    let seat = self.seat[i];
-                    let through = |property: f64| {
-                        let one = simd.mul_f64s(simd.splat_f64s(-property * seat[0]), p0);
-                        simd.mul_add_f64s(simd.splat_f64s(-property * seat[1]), p1, one)
-                    };
-                    let stiff = simd.add_f64s(elastic, through(self.pad.stiffness));
+                    let seat = self.seat[i].map(|s| simd.splat_f64s(s));
+                    let pads = simd.mul_add_f64s(seat[0], p0, simd.mul_f64s(seat[1], p1));
+                    let stiff = simd.mul_add_f64s(pad_stiffness, pads, elastic);
                     let stiff = simd.mul_add_f64s(k[part], bed, stiff);
-                    let damp = simd.mul_add_f64s(elastic_damping, elastic, through(self.pad.damping));
+                    let damp = simd.mul_add_f64s(elastic_damping, elastic, simd.mul_f64s(pad_damping, pads));
                     let damp = simd.mul_add_f64s(c[part], bed, damp);
                     let rest = simd.sub_f64s(simd.sub_f64s(f[at], r[at]), damp);
                     b[at] = simd.mul_add_f64s(rest, per_theta, simd.mul_add_f64s(twice, stiff, b[at]));

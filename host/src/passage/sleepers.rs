@@ -54,19 +54,20 @@ struct Ballast {
     damping: Lanes,
 }
 
-/// Motion of the sleepers: displacement u, rate v at t + θ dt, elastic force r, momentum term b.
+/// Motion of the sleepers: displacement u, rate v at t + θ dt, momentum term b.
 #[derive(Clone, Debug)]
 pub(super) struct SleeperState {
     pub u: Vec<Lanes>,
     pub v: Vec<Lanes>,
-    pub r: Vec<Lanes>,
     pub b: Vec<Lanes>,
     /// Forces of the nonlinear beds.
     pub correction: Vec<Lanes>,
     /// Rates one step earlier.
     pub earlier: Vec<Lanes>,
-    /// Motion of the two seats without the rails, `[chunk · 2 + side]`.
-    free: Vec<Lanes>,
+    /// Of both pads, `[chunk · 2 + side]`: motion of the seat without the rails, then rate of compression, then force.
+    pads: Vec<Lanes>,
+    /// Deformation that one chunk advances with.
+    deformation: Vec<Lanes>,
 }
 
 impl Sleepers {
@@ -146,8 +147,17 @@ impl Sleepers {
 
     pub fn at_rest(&self) -> SleeperState {
         let zero = || vec![[0.0; CHUNK]; self.inverse.len()];
-        let free = vec![[0.0; CHUNK]; 2 * self.through.len()];
-        SleeperState { u: zero(), v: zero(), r: zero(), b: zero(), correction: zero(), earlier: zero(), free }
+        let pads = vec![[0.0; CHUNK]; 2 * self.through.len()];
+        let deformation = vec![[0.0; CHUNK]; self.coordinates];
+        SleeperState {
+            u: zero(),
+            v: zero(),
+            b: zero(),
+            correction: zero(),
+            earlier: zero(),
+            pads,
+            deformation,
+        }
     }
 
     /// Motion of the seats under the sleepers' own forces, and its action on the rail seats, added to `rails`.
@@ -157,7 +167,7 @@ impl Sleepers {
         let (crossing, stock) = rails[..2 * stride].split_at_mut(stride);
         let (crossing, stock) = (vectors_mut::<S>(crossing), vectors_mut::<S>(stock));
         let (b, f) = (of_chunks::<S>(&state.b), of_chunks::<S>(&state.correction));
-        let (inverse, free) = (of_chunks::<S>(&self.inverse), of_chunks_mut::<S>(&mut state.free));
+        let (inverse, pads) = (of_chunks::<S>(&self.inverse), of_chunks_mut::<S>(&mut state.pads));
         let through = of_chunks::<S>(self.through.as_flattened());
         let pad = simd.splat_f64s(self.pad.effective);
         for chunk in 0..self.through.len() {
@@ -172,7 +182,7 @@ impl Sleepers {
                     t1 = simd.mul_add_f64s(simd.splat_f64s(seat[1]), motion, t1);
                 }
                 let (at, of) = (chunk * p + part, chunk * 3 * p + part);
-                (free[chunk * 2 * p + part], free[(chunk * 2 + 1) * p + part]) = (t0, t1);
+                (pads[chunk * 2 * p + part], pads[(chunk * 2 + 1) * p + part]) = (t0, t1);
                 let (t0, t1) = (simd.mul_f64s(pad, t0), simd.mul_f64s(pad, t1));
                 let [s00, s01, s11] = [through[of], through[of + p], through[of + 2 * p]];
                 crossing[at] = simd.mul_add_f64s(s00, t0, simd.mul_add_f64s(s01, t1, crossing[at]));
@@ -181,23 +191,23 @@ impl Sleepers {
         }
     }
 
-    /// Rate of pad compression of both sides, into the place of the free motion of the seats.
+    /// Rate of pad compression of both sides, in place of the free motion of the seats.
     #[inline(always)]
     pub fn compress<S: Simd>(&self, simd: S, state: &mut SleeperState, rails: &[f64]) {
         let (p, stride) = (parts::<S>(), self.through.len() * CHUNK);
         let (crossing, stock) = rails[..2 * stride].split_at(stride);
         let (crossing, stock) = (vectors::<S>(crossing), vectors::<S>(stock));
-        let free = of_chunks_mut::<S>(&mut state.free);
+        let pads = of_chunks_mut::<S>(&mut state.pads);
         let through = of_chunks::<S>(self.through.as_flattened());
         for chunk in 0..self.through.len() {
             for part in 0..p {
                 let (first, second) = (chunk * 2 * p + part, (chunk * 2 + 1) * p + part);
-                let d0 = simd.sub_f64s(crossing[chunk * p + part], free[first]);
-                let d1 = simd.sub_f64s(stock[chunk * p + part], free[second]);
+                let d0 = simd.sub_f64s(crossing[chunk * p + part], pads[first]);
+                let d1 = simd.sub_f64s(stock[chunk * p + part], pads[second]);
                 let of = chunk * 3 * p + part;
                 let [s00, s01, s11] = [through[of], through[of + p], through[of + 2 * p]];
-                free[first] = simd.mul_add_f64s(s00, d0, simd.mul_f64s(s01, d1));
-                free[second] = simd.mul_add_f64s(s01, d0, simd.mul_f64s(s11, d1));
+                pads[first] = simd.mul_add_f64s(s00, d0, simd.mul_f64s(s01, d1));
+                pads[second] = simd.mul_add_f64s(s01, d0, simd.mul_f64s(s11, d1));
             }
         }
     }
@@ -207,7 +217,7 @@ impl Sleepers {
     pub fn rates<S: Simd>(&self, simd: S, state: &mut SleeperState) {
         let (n, p) = (self.coordinates, parts::<S>());
         let (b, f) = (of_chunks::<S>(&state.b), of_chunks::<S>(&state.correction));
-        let (inverse, pad) = (of_chunks::<S>(&self.inverse), of_chunks::<S>(&state.free));
+        let (inverse, pad) = (of_chunks::<S>(&self.inverse), of_chunks::<S>(&state.pads));
         let v = of_chunks_mut::<S>(&mut state.v);
         for chunk in 0..self.through.len() {
             for part in 0..p {
@@ -228,66 +238,74 @@ impl Sleepers {
         }
     }
 
-    /// New b, r, u of the sleepers; after [`Sleepers::rates`].
+    /// New b and u of the sleepers, and forces of the pads on their way into b; `rails`: old displacement.
+    ///
+    /// With K = E + k B − pads: b ← b + f/θ − K (u/θ + 2 dt v) − C v/θ.
     #[inline(always)]
-    pub fn advance<S: Simd>(&self, simd: S, state: &mut SleeperState, (dt_s, theta): (f64, f64)) {
-        let (n, p) = (self.coordinates, parts::<S>());
-        let SleeperState { u, v, r, b, correction, free, .. } = state;
-        let (v, f, pad) = (of_chunks::<S>(v), of_chunks::<S>(correction), of_chunks::<S>(free));
-        let [u, r, b] = [u, r, b].map(|row| of_chunks_mut::<S>(row));
-        let (dt, twice, per_theta) =
-            (simd.splat_f64s(dt_s), simd.splat_f64s(-2.0 * dt_s), simd.splat_f64s(1.0 / theta));
-        let elastic_damping = simd.splat_f64s(self.elastic_damping_s);
-        let pad_stiffness = simd.splat_f64s(-self.pad.stiffness);
-        let pad_damping = simd.splat_f64s(-self.pad.damping);
+    pub fn advance<S: Simd>(
+        &self,
+        simd: S,
+        state: &mut SleeperState,
+        rails: &[f64],
+        (dt_s, theta): (f64, f64),
+    ) {
+        let (n, p, stride) = (self.coordinates, parts::<S>(), self.through.len() * CHUNK);
+        let (crossing, stock) = rails[..2 * stride].split_at(stride);
+        let (crossing, stock) = (vectors::<S>(crossing), vectors::<S>(stock));
+        let SleeperState { u, v, b, correction, pads, deformation, .. } = state;
+        let (v, f) = (of_chunks::<S>(v), of_chunks::<S>(correction));
+        let [u, b, pads, deformation] = [u, b, pads, deformation].map(|row| of_chunks_mut::<S>(row));
+        let splat = |value: f64| simd.splat_f64s(value);
+        let (dt, per_theta) = (splat(dt_s), splat(1.0 / theta));
+        let elastic_rate = splat(self.elastic_damping_s / theta + 2.0 * dt_s);
+        let pad_stiffness = splat(self.pad.stiffness / theta);
+        let pad_rate = splat(2.0 * dt_s * self.pad.stiffness + self.pad.damping / theta);
         for (chunk, ballast) in self.ballast.iter().enumerate() {
             let (k, c) = (vectors::<S>(&ballast.stiffness), vectors::<S>(&ballast.damping));
+            let of = chunk * n * p..(chunk + 1) * n * p;
+            let (v, f, u, b) = (&v[of.clone()], &f[of.clone()], &mut u[of.clone()], &mut b[of]);
+            let pads = &mut pads[chunk * 2 * p..(chunk + 1) * 2 * p];
             for part in 0..p {
-                let (p0, p1) = (pad[chunk * 2 * p + part], pad[(chunk * 2 + 1) * p + part]);
-                let of = chunk * n * p..(chunk + 1) * n * p;
-                let (v, f) = (&v[of.clone()], &f[of.clone()]);
-                let (u, r, b) = (&mut u[of.clone()], &mut r[of.clone()], &mut b[of]);
+                let (mut seat0, mut seat1) = (crossing[chunk * p + part], stock[chunk * p + part]);
+                for (i, seat) in self.seat.iter().enumerate() {
+                    let at = i * p + part;
+                    seat0 = simd.mul_add_f64s(splat(-seat[0]), u[at], seat0);
+                    seat1 = simd.mul_add_f64s(splat(-seat[1]), u[at], seat1);
+                    deformation[at] = simd.mul_add_f64s(elastic_rate, v[at], simd.mul_f64s(per_theta, u[at]));
+                }
+                let pad0 = simd.mul_add_f64s(pad_stiffness, seat0, simd.mul_f64s(pad_rate, pads[part]));
+                let pad1 = simd.mul_add_f64s(pad_stiffness, seat1, simd.mul_f64s(pad_rate, pads[p + part]));
+                (pads[part], pads[p + part]) = (pad0, pad1);
+                let bed_stiffness = simd.mul_f64s(per_theta, k[part]);
+                let bed_rate =
+                    simd.mul_add_f64s(splat(2.0 * dt_s), k[part], simd.mul_f64s(per_theta, c[part]));
                 for i in 0..n {
                     let at = i * p + part;
-                    let mut elastic = simd.splat_f64s(0.0);
-                    for (j, e) in self.elastic[i * n..(i + 1) * n].iter().enumerate() {
-                        elastic = simd.mul_add_f64s(simd.splat_f64s(*e), v[j * p + part], elastic);
+                    let mut elastic = simd.mul_f64s(splat(self.elastic[i * n]), deformation[part]);
+                    for (j, e) in self.elastic[i * n..(i + 1) * n].iter().enumerate().skip(1) {
+                        elastic = simd.mul_add_f64s(splat(*e), deformation[j * p + part], elastic);
                     }
-                    let bed = simd.mul_f64s(simd.splat_f64s(self.bed[i]), v[at]);
-                    let seat = self.seat[i].map(|s| simd.splat_f64s(s));
-                    let pads = simd.mul_add_f64s(seat[0], p0, simd.mul_f64s(seat[1], p1));
-                    let stiff = simd.mul_add_f64s(pad_stiffness, pads, elastic);
-                    let stiff = simd.mul_add_f64s(k[part], bed, stiff);
-                    let damp = simd.mul_add_f64s(elastic_damping, elastic, simd.mul_f64s(pad_damping, pads));
-                    let damp = simd.mul_add_f64s(c[part], bed, damp);
-                    let rest = simd.sub_f64s(simd.sub_f64s(f[at], r[at]), damp);
-                    b[at] = simd.mul_add_f64s(rest, per_theta, simd.mul_add_f64s(twice, stiff, b[at]));
-                    r[at] = simd.mul_add_f64s(dt, stiff, r[at]);
+                    let bed = simd.mul_add_f64s(bed_stiffness, u[at], simd.mul_f64s(bed_rate, v[at]));
+                    let inner = simd.mul_add_f64s(splat(self.bed[i]), bed, elastic);
+                    let [first, second] = self.seat[i].map(splat);
+                    let outer = simd.mul_add_f64s(first, pad0, simd.mul_f64s(second, pad1));
+                    let outer = simd.mul_add_f64s(per_theta, f[at], outer);
+                    b[at] = simd.add_f64s(b[at], simd.sub_f64s(outer, inner));
                     u[at] = simd.mul_add_f64s(dt, v[at], u[at]);
                 }
             }
         }
     }
 
-    /// Pad forces on one rail seat row: new b and r. The beam's own elastic force follows with the elements.
+    /// Pad forces on one row of rail seats.
     #[inline(always)]
-    pub fn advance_seats<S: Simd>(
-        &self,
-        simd: S,
-        state: &SleeperState,
-        (side, b, r): (usize, &mut [f64], &mut [f64]),
-        (dt_s, theta): (f64, f64),
-    ) {
+    pub fn advance_seats<S: Simd>(&self, simd: S, state: &SleeperState, (side, b): (usize, &mut [f64])) {
         let p = parts::<S>();
-        let (stiffness, damping) = (self.pad.stiffness, self.pad.damping);
-        let (pad, b, r) = (of_chunks::<S>(&state.free), vectors_mut::<S>(b), vectors_mut::<S>(r));
-        let of_rate = simd.splat_f64s(-(damping / theta + 2.0 * dt_s * stiffness));
-        let (of_force, of_stiffness) = (simd.splat_f64s(-1.0 / theta), simd.splat_f64s(dt_s * stiffness));
+        let (pads, b) = (of_chunks::<S>(&state.pads), vectors_mut::<S>(b));
         for chunk in 0..self.through.len() {
             for part in 0..p {
-                let (at, pad) = (chunk * p + part, pad[(chunk * 2 + side) * p + part]);
-                b[at] = simd.mul_add_f64s(of_rate, pad, simd.mul_add_f64s(of_force, r[at], b[at]));
-                r[at] = simd.mul_add_f64s(of_stiffness, pad, r[at]);
+                let at = chunk * p + part;
+                b[at] = simd.sub_f64s(b[at], pads[(chunk * 2 + side) * p + part]);
             }
         }
     }

@@ -2,8 +2,8 @@
 //! acceleration (implicit midpoint rule): unconditionally stable, second order, no numerical damping. θ > ½ damps.
 //!
 //! With v the rate at t + θ dt and A = M/(θ dt) + C + θ dt K, one step solves A v = f + b with b = M v₀/(θ dt) − K u₀.
-//! Because M v/(θ dt) = f + b − C v − θ dt K v, neither M nor K is applied to the state: with the elastic force r = K u,
-//!   b ← b + (f − r − C v)/θ − 2 dt K v,   r ← r + dt K v,   u ← u + dt v.
+//! Because M v/(θ dt) = f + b − C v − θ dt K v, the mass is never applied to the state:
+//!   b ← b + (f − C v)/θ − K (u/θ + 2 dt v),   u ← u + dt v.
 
 use super::beds::NonlinearBeds;
 use super::chain::Seat;
@@ -126,14 +126,11 @@ impl Stepper {
         let sleepers = Sleepers::new(&self.model, shares)?;
         let effective = Effective::new(&self.model, &sleepers, shares)?;
         let mut state = self.at_rest();
-        for (point, force) in loads {
-            self.add_load(&mut state.rail.r, point, *force);
-        }
-        for (b, r) in state.rail.b.iter_mut().zip(&state.rail.r) {
-            *b = -r;
-        }
         let mut still = sleepers.at_rest();
-        state.work.copy_from_slice(&state.rail.r);
+        for (point, force) in loads {
+            self.add_load(&mut state.work, point, *force);
+            self.add_load(&mut state.rail.b, point, -force);
+        }
         self.arch.dispatch(Settle {
             sleepers: &sleepers,
             effective: &effective,
@@ -177,6 +174,18 @@ impl Stepper {
     /// Ends the step.
     pub fn finish(&self, state: &mut TrackState) {
         self.arch.dispatch(Finish(self, state));
+    }
+
+    /// New b and u from the rates.
+    #[inline(always)]
+    fn advance<S: pulp::Simd>(&self, simd: S, TrackState { rail, sleeper, .. }: &mut TrackState) {
+        let (step, stride) = ((self.step.dt_s, self.step.theta), self.model.layout.stride);
+        self.sleepers.advance(simd, sleeper, &rail.u, step);
+        for side in 0..2 {
+            let seats = &mut rail.b[side * stride..(side + 1) * stride];
+            self.sleepers.advance_seats(simd, sleeper, (side, seats));
+        }
+        self.rails.advance(simd, rail, step);
     }
 
     /// Displacement of a rail point, m.
@@ -229,19 +238,12 @@ impl pulp::WithSimd for Finish<'_> {
 
     #[inline(always)]
     fn with_simd<S: pulp::Simd>(self, simd: S) {
-        let Self(stepper, TrackState { rail, sleeper, work, seats }) = self;
-        let (sleepers, step) = (&stepper.sleepers, (stepper.step.dt_s, stepper.step.theta));
-        let stride = stepper.model.layout.stride;
+        let Self(stepper, state) = self;
+        let TrackState { rail, sleeper, work, seats } = &mut *state;
         stepper.effective.solve_rails(simd, work, &mut rail.v, seats);
-        sleepers.compress(simd, sleeper, &rail.v);
-        sleepers.rates(simd, sleeper);
-        sleepers.advance(simd, sleeper, step);
-        for side in 0..2 {
-            let of = side * stride..(side + 1) * stride;
-            let rows = (side, &mut rail.b[of.clone()], &mut rail.r[of]);
-            sleepers.advance_seats(simd, sleeper, rows, step);
-        }
-        stepper.rails.advance(simd, rail, step);
+        stepper.sleepers.compress(simd, sleeper, &rail.v);
+        stepper.sleepers.rates(simd, sleeper);
+        stepper.advance(simd, state);
     }
 }
 
@@ -378,30 +380,32 @@ mod tests {
         let point = stepper.model.point(Side::Stock, 0.47).unwrap();
         let mut state = stepper.at_rest();
         let ahead = stepper.step.theta * stepper.step.dt_s;
-        let flat = |s: &TrackState| {
-            let (sleeper, rail) = (&s.sleeper, &s.rail);
-            let join = |rail: &[f64], sleeper: &[Lanes]| [rail, sleeper.as_flattened()].concat();
-            let [u, v] = [join(&rail.u, &sleeper.u), join(&rail.v, &sleeper.v)];
-            [u, v, join(&rail.r, &sleeper.r), join(&rail.b, &sleeper.b)]
+        let join = |rail: &[f64], sleeper: &[Lanes]| [rail, sleeper.as_flattened()].concat();
+        // Elastic forces: what the momentum term loses without any rate.
+        let elastic = |s: &TrackState| {
+            let mut still = stepper.at_rest();
+            (still.rail.u, still.sleeper.u) = (s.rail.u.clone(), s.sleeper.u.clone());
+            stepper.advance(pulp::Scalar::new(), &mut still);
+            let lost = join(&still.rail.b, &still.sleeper.b);
+            lost.iter().map(|b| -stepper.step.theta * b).collect::<Vec<f64>>()
         };
-        let momentum = |[_, _, r, b]: &[Vec<f64>; 4]| {
-            b.iter().zip(r).map(|(b, r)| (b + r) * ahead).collect::<Vec<f64>>()
+        let momentum = |s: &TrackState| {
+            let b = join(&s.rail.b, &s.sleeper.b);
+            b.iter().zip(elastic(s)).map(|(b, r)| (b + r) * ahead).collect::<Vec<f64>>()
         };
         let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(x, y)| x * y).sum::<f64>();
         let (mut kinetic, mut work) = (0.0, 0.0);
         for n in 0..2000 {
-            let before = momentum(&flat(&state));
+            let before = momentum(&state);
             let at = stepper.rail_m(&state, &point);
             let force = if n < 300 { 1e5 * (f64::from(n) / 50.0).sin() } else { 0.0 };
             stepper.begin(&mut state);
             stepper.load(&mut state, &point, force);
             stepper.finish(&mut state);
             work += force * (stepper.rail_m(&state, &point) - at);
-            let after = flat(&state);
-            let change: Vec<f64> = momentum(&after).iter().zip(&before).map(|(a, b)| a - b).collect();
-            let [u, v, r, _] = &after;
-            kinetic += dot(&change, v);
-            let potential = 0.5 * dot(u, r);
+            let change: Vec<f64> = momentum(&state).iter().zip(&before).map(|(a, b)| a - b).collect();
+            kinetic += dot(&change, &join(&state.rail.v, &state.sleeper.v));
+            let potential = 0.5 * dot(&join(&state.rail.u, &state.sleeper.u), &elastic(&state));
             assert!(
                 (kinetic + potential - work).abs() < 1e-7 * work.abs().max(1.0),
                 "{n}: {kinetic} {potential} {work}"

@@ -1,6 +1,7 @@
 //! Effective matrix A = a_m M + a_c C + a_k K of the whole track, factorised once: sleepers are condensed to the rail
 //! seats, nodes between the seats are condensed bay by bay, and the seats remain as a chain of 4×4 blocks.
 
+use aligned_vec::avec;
 use nalgebra::DMatrix;
 use pulp::Simd;
 
@@ -8,7 +9,7 @@ use super::chain::{Block, Seat, SeatChain};
 use super::error::SimulationError;
 use super::model::{Layout, TrackModel};
 use super::sleepers::Sleepers;
-use super::vectors::{vectors, vectors_mut};
+use super::vectors::{Aligned, vectors, vectors_mut};
 
 /// Shares of mass, damping and stiffness in the effective matrix.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -23,9 +24,9 @@ pub(super) struct Shares {
 pub(super) struct Effective {
     layout: Layout,
     /// `[(i · m + j) · row + lane]`, m values inside a bay.
-    interior_inverse: Vec<f64>,
+    interior_inverse: Aligned<f64>,
     /// `[(i · 4 + a) · row + lane]`: motion inside the bay per motion of its two seats.
-    interior_gain: Vec<f64>,
+    interior_gain: Aligned<f64>,
     chain: SeatChain,
 }
 
@@ -35,8 +36,8 @@ impl Effective {
         let m = 2 * (layout.nodes_per_bay - 1);
         let mut effective = Self {
             layout,
-            interior_inverse: vec![0.0; m * m * layout.row],
-            interior_gain: vec![0.0; 4 * m * layout.row],
+            interior_inverse: avec![0.0; m * m * layout.row],
+            interior_gain: avec![0.0; 4 * m * layout.row],
             chain: SeatChain::default(),
         };
         let mut diagonal: Vec<Block> =

@@ -3,12 +3,13 @@
 //! Within one time step a force moves only the rail around it; the reach is a few decay lengths (EI dt²/4m)^¼, 0.13 m at
 //! 1e-4 s. So the contact force of a wheel can be found before the track is solved, from the loads near the wheel.
 
+use aligned_vec::avec;
 use pulp::Simd;
 
 use super::chain::Seat;
 use super::effective::Effective;
 use super::model::{CHUNK, Lanes, Layout, RailPoint, TrackModel};
-use super::vectors::{parts, vectors, vectors_mut};
+use super::vectors::{Aligned, parts, vectors, vectors_mut};
 
 /// Rows are cut where they fall below this part of their largest value: a load of 100 kN leaves out the motion of 0.01 N.
 const CUT: f64 = 1e-7;
@@ -20,7 +21,7 @@ pub(super) struct Influence {
     /// Sleepers on either side that are kept.
     reach: usize,
     /// `[point][row][chunk of lanes][dof]`.
-    rows: Vec<Lanes>,
+    rows: Aligned<Lanes>,
     /// `[point]`: motion of degree of freedom a per load on b.
     own: Vec<[[f64; 4]; 4]>,
     /// Largest part cut off, relative to the row's largest value, both rails.
@@ -35,7 +36,7 @@ impl Influence {
         let mut influence = Self {
             layout,
             reach,
-            rows: vec![[0.0; CHUNK]; points * layout.rows() * 4 * chunks(reach)],
+            rows: avec![[0.0; CHUNK]; points * layout.rows() * 4 * chunks(reach)],
             own: vec![[[0.0; 4]; 4]; points],
             cut_off: 0.0,
         };

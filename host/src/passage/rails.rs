@@ -1,16 +1,17 @@
 //! Rails between the steps: elastic forces from the deformation of the elements, then b and u.
 
+use aligned_vec::avec;
 use pulp::Simd;
 
 use super::model::{CHUNK, Layout, TrackModel};
-use super::vectors::{vectors, vectors_mut};
+use super::vectors::{Aligned, vectors, vectors_mut};
 
 /// Stiffness of the rail elements in terms of shear and bending deformation, `[element in bay · row + lane]`.
 #[derive(Clone, Debug)]
 pub(super) struct Rails {
     layout: Layout,
-    shear: Vec<f64>,
-    bending: Vec<f64>,
+    shear: Aligned<f64>,
+    bending: Aligned<f64>,
     half_length_m: f64,
     damping_s: f64,
 }
@@ -18,19 +19,19 @@ pub(super) struct Rails {
 /// Motion of the rails: displacement u, rate v at t + θ dt, momentum term b.
 #[derive(Clone, Debug)]
 pub(super) struct RailState {
-    pub u: Vec<f64>,
-    pub v: Vec<f64>,
-    pub b: Vec<f64>,
+    pub u: Aligned<f64>,
+    pub v: Aligned<f64>,
+    pub b: Aligned<f64>,
     /// Shear force and bending moment of the elements that the step advances with, `[element][CHUNK + lane]`: the lane before the first one is
     /// read.
-    force: [Vec<f64>; 2],
+    force: [Aligned<f64>; 2],
 }
 
 impl Rails {
     pub fn new(model: &TrackModel) -> Self {
         let layout = model.layout;
         let len = layout.nodes_per_bay * layout.row;
-        let (mut shear, mut bending) = (vec![0.0; len], vec![0.0; len]);
+        let (mut shear, mut bending) = (avec![0.0; len], avec![0.0; len]);
         for side in 0..2 {
             for bay in 0..layout.sleepers - 1 {
                 for e in 0..layout.nodes_per_bay {
@@ -46,8 +47,8 @@ impl Rails {
     }
 
     pub fn at_rest(&self) -> RailState {
-        let zero = || vec![0.0; self.layout.rows() * self.layout.row];
-        let force = || vec![0.0; self.layout.nodes_per_bay * (CHUNK + self.layout.lanes())];
+        let zero = || avec![0.0; self.layout.rows() * self.layout.row];
+        let force = || avec![0.0; self.layout.nodes_per_bay * (CHUNK + self.layout.lanes())];
         RailState { u: zero(), v: zero(), b: zero(), force: [force(), force()] }
     }
 

@@ -6,6 +6,7 @@
 //!   D v = f + G Φ p,   p = w − Φᵀ v = S (w − Φᵀ D⁻¹ f),   S = (I + G Φᵀ D⁻¹ Φ)⁻¹,
 //! and the rails feel G S w − G S Φᵀ D⁻¹ f: two numbers per sleeper, whatever the number of its coordinates.
 
+use aligned_vec::avec;
 use nalgebra::{DMatrix, DVector, Matrix2, SymmetricEigen};
 use pulp::Simd;
 
@@ -13,7 +14,7 @@ use super::basis::SleeperBasis;
 use super::effective::Shares;
 use super::error::SimulationError;
 use super::model::{CHUNK, Lanes, TrackModel};
-use super::vectors::{of_chunks, of_chunks_mut, parts, vectors, vectors_mut};
+use super::vectors::{Aligned, of_chunks, of_chunks_mut, parts, vectors, vectors_mut};
 
 /// All sleepers; values per sleeper and coordinate are at `[sleeper / 8 · coordinates + coordinate][sleeper % 8]`.
 #[derive(Clone, Debug)]
@@ -32,11 +33,11 @@ pub(super) struct Sleepers {
     bed: Vec<f64>,
     pad: Pad,
     /// Effective ballast g, stiffness k, damping c per chunk.
-    ballast: Vec<Ballast>,
+    ballast: Aligned<Ballast>,
     /// D⁻¹.
-    inverse: Vec<Lanes>,
+    inverse: Aligned<Lanes>,
     /// S₀₀, S₀₁, S₁₁ per chunk.
-    through: Vec<[Lanes; 3]>,
+    through: Aligned<[Lanes; 3]>,
     /// Coordinates of the model per coordinate of this module.
     transform: DMatrix<f64>,
 }
@@ -57,17 +58,17 @@ struct Ballast {
 /// Motion of the sleepers: displacement u, rate v at t + θ dt, momentum term b.
 #[derive(Clone, Debug)]
 pub(super) struct SleeperState {
-    pub u: Vec<Lanes>,
-    pub v: Vec<Lanes>,
-    pub b: Vec<Lanes>,
+    pub u: Aligned<Lanes>,
+    pub v: Aligned<Lanes>,
+    pub b: Aligned<Lanes>,
     /// Forces of the nonlinear beds.
-    pub correction: Vec<Lanes>,
+    pub correction: Aligned<Lanes>,
     /// Rates one step earlier.
-    pub earlier: Vec<Lanes>,
+    pub earlier: Aligned<Lanes>,
     /// Of both pads, `[chunk · 2 + side]`: motion of the seat without the rails, then rate of compression, then force.
-    pads: Vec<Lanes>,
+    pads: Aligned<Lanes>,
     /// Deformation that one chunk advances with.
-    deformation: Vec<Lanes>,
+    deformation: Aligned<Lanes>,
 }
 
 impl Sleepers {
@@ -101,9 +102,9 @@ impl Sleepers {
                 stiffness: model.pad.stiffness,
                 damping: model.pad.damping,
             },
-            ballast: vec![Ballast { stiffness: [0.0; CHUNK], damping: [0.0; CHUNK] }; chunks],
-            inverse: vec![[0.0; CHUNK]; n * chunks],
-            through: vec![[[0.0; CHUNK]; 3]; chunks],
+            ballast: avec![Ballast { stiffness: [0.0; CHUNK], damping: [0.0; CHUNK] }; chunks],
+            inverse: avec![[0.0; CHUNK]; n * chunks],
+            through: avec![[[0.0; CHUNK]; 3]; chunks],
             bed: beta.as_slice().to_vec(),
             transform,
         };
@@ -146,9 +147,9 @@ impl Sleepers {
     }
 
     pub fn at_rest(&self) -> SleeperState {
-        let zero = || vec![[0.0; CHUNK]; self.inverse.len()];
-        let pads = vec![[0.0; CHUNK]; 2 * self.through.len()];
-        let deformation = vec![[0.0; CHUNK]; self.coordinates];
+        let zero = || avec![[0.0; CHUNK]; self.inverse.len()];
+        let pads = avec![[0.0; CHUNK]; 2 * self.through.len()];
+        let deformation = avec![[0.0; CHUNK]; self.coordinates];
         SleeperState {
             u: zero(),
             v: zero(),
@@ -311,11 +312,11 @@ impl Sleepers {
     }
 
     /// The same motion in the coordinates of `other`, of the same model.
-    pub fn convert(&self, values: &[Lanes], other: &Self) -> Result<Vec<Lanes>, SimulationError> {
+    pub fn convert(&self, values: &[Lanes], other: &Self) -> Result<Aligned<Lanes>, SimulationError> {
         let singular = || SimulationError::Singular { what: "mass", place: "the sleeper".into() };
         let n = self.coordinates;
         let change = other.transform.clone().lu().solve(&self.transform).ok_or_else(singular)?;
-        let mut converted = vec![[0.0; CHUNK]; values.len()];
+        let mut converted = avec![[0.0; CHUNK]; values.len()];
         for (target, source) in converted.chunks_exact_mut(n).zip(values.chunks_exact(n)) {
             for i in 0..n {
                 for (j, value) in source.iter().enumerate() {

@@ -5,6 +5,8 @@
 //! Because M v/(θ dt) = f + b − C v − θ dt K v, the mass is never applied to the state:
 //!   b ← b + (f − C v)/θ − K (u/θ + 2 dt v),   u ← u + dt v.
 
+use aligned_vec::avec;
+
 use super::beds::NonlinearBeds;
 use super::chain::Seat;
 use super::effective::{Effective, Shares};
@@ -13,6 +15,7 @@ use super::influence::Influence;
 use super::model::{CHUNK, RailPoint, TrackModel};
 use super::rails::{RailState, Rails};
 use super::sleepers::{SleeperState, Sleepers};
+use super::vectors::Aligned;
 
 /// Step and scheme.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -72,7 +75,7 @@ pub struct TrackState {
     rail: RailState,
     sleeper: SleeperState,
     /// Loads on the rails in the step that has begun, those of the sleepers included.
-    work: Vec<f64>,
+    work: Aligned<f64>,
     seats: Vec<Seat>,
 }
 
@@ -112,7 +115,7 @@ impl Stepper {
         TrackState {
             rail: self.rails.at_rest(),
             sleeper: self.sleepers.at_rest(),
-            work: vec![0.0; layout.rows() * layout.row],
+            work: avec![0.0; layout.rows() * layout.row],
             seats: vec![[0.0; 4]; layout.sleepers],
         }
     }

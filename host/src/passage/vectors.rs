@@ -3,9 +3,13 @@
 //! Operations act on each lane by itself, and a multiply-add is rounded once on every machine, so that the width of the
 //! vectors does not change a bit of the result.
 
+use aligned_vec::AVec;
 use pulp::Simd;
 
 use super::model::{CHUNK, Lanes};
+
+/// List that begins with a cache line, so that a whole chunk of a row of whole chunks never lies on two.
+pub(super) type Aligned<T> = AVec<T>;
 
 /// Vectors in a chunk.
 pub(super) const fn parts<S: Simd>() -> usize {

@@ -123,7 +123,7 @@ impl Sleepers {
         let mut seats = Matrix2::identity();
         for i in 0..n {
             let diagonal = 1.0 + g * self.bed[i];
-            if !(diagonal > 0.0) {
+            if diagonal.is_nan() || diagonal <= 0.0 {
                 return Err(singular());
             }
             self.inverse[chunk * n + i][lane] = 1.0 / diagonal;

@@ -12,22 +12,21 @@ pub fn figure(curve: &Curve) -> Result<String, ReportError> {
     let last = measured.iter().fold(1.0_f64, |m, p| m.max(p.0));
     let highest = measured.iter().fold(last, |m, p| m.max(p.1));
     let words = measured.iter().zip(&curve.points).map(|(at, (n, t))| Layer::Word {
-        at: *at,
+        at: (at.0 + 0.02 * last, at.1 - 0.03 * highest),
         text: format!("{n:.0}: {t:.3} s"),
         color: BLUE,
     });
     let x_caption = format!("doublings of the {}, from {n0:.0}", curve.of);
-    let y_caption = format!("doublings of CPU time, {}", curve.what);
     let mut layers = vec![
         Layer::Dashed { points: vec![(0.0, 0.0), (last, last)], color: GREY, width: 3 },
-        Layer::Word { at: (0.62 * last, 0.62 * last), text: "proportional".into(), color: GREY },
+        Layer::Word { at: (0.3 * last, 0.46 * last), text: "proportional".into(), color: GREY },
         Layer::Line { points: measured.clone(), color: BLUE, opacity: 1.0, width: 4 },
         Layer::Dots { points: measured.clone(), color: BLUE, opacity: 1.0, size: 8 },
     ];
     layers.extend(words);
     Plot {
         x: Axis { caption: &x_caption, range: (-0.1 * last, 1.25 * last) },
-        y: Axis { caption: &y_caption, range: (-0.1 * highest, 1.15 * highest) },
+        y: Axis { caption: "doublings of CPU time", range: (-0.1 * highest, 1.15 * highest) },
         down: false,
         height: 760,
         layers,

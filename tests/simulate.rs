@@ -1,5 +1,7 @@
 //! `cpcm simulate`: what it writes can be read, analysed and scored.
 
+mod tolerance;
+
 use std::path::{Path, PathBuf};
 
 use cpcm::passage::contact::ContactLaw;
@@ -190,7 +192,10 @@ fn property_errors_of_reduction_mesh_and_step_are_as_stated() {
             (force, relative(&low_acceleration(a), &low_acceleration(b)))
         };
         let (force, acceleration) = error(&usual, &full);
-        assert!(force < 1e-3 && acceleration < 1e-2, "reduction, {name}: {force} {acceleration}");
+        assert!(
+            force < tolerance::REDUCTION && acceleration < tolerance::REDUCTION,
+            "reduction, {name}: {force} {acceleration}"
+        );
         let (force, acceleration) = error(&usual, &finest);
         assert!(force < 6e-3 && acceleration < 1.5e-2, "mesh and step, {name}: {force} {acceleration}");
     }

@@ -3,6 +3,7 @@
 //! Exit code 0 on success, 1 on a failed operation, 2 on wrong usage (by clap).
 
 mod analyse;
+mod bench;
 mod convert;
 mod demo;
 mod kernel;
@@ -41,6 +42,7 @@ enum Command {
     Node(node::NodeArgs),
     Verify(verify::VerifyArgs),
     Convert(convert::ConvertArgs),
+    Bench(bench::BenchArgs),
 }
 
 /// Parses the command line, runs the subcommand and reports its outcome.
@@ -54,6 +56,7 @@ pub fn main() -> ExitCode {
         Command::Node(args) => args.run(),
         Command::Verify(args) => args.run(),
         Command::Convert(args) => args.run(),
+        Command::Bench(args) => args.run(),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,

@@ -28,4 +28,5 @@ pub mod scoring;
 pub mod verification;
 pub mod results;
 pub mod report;
+pub mod bench;
 pub mod cmd;

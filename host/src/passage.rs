@@ -9,6 +9,7 @@
 //! [`Train`], the running surfaces and a [`Journey`] → [`PassageRecord`] → [`sensor`] chain → recording.
 
 pub mod basis;
+mod beds;
 mod chain;
 pub mod contact;
 mod effective;
@@ -16,12 +17,15 @@ mod error;
 mod influence;
 pub mod model;
 pub mod random;
+mod rails;
 mod run;
 pub mod sensor;
+mod sleepers;
 pub mod stepper;
 pub mod support;
 pub mod surface;
 pub mod unit;
+mod vectors;
 
 pub use error::SimulationError;
 pub use model::{RailPoint, SLEEPER_MODES, TrackModel};

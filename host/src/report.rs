@@ -6,6 +6,7 @@ mod accelerations;
 mod ballast;
 mod displacement;
 mod forces;
+pub mod growth;
 mod headline;
 mod indicator;
 mod irregularity;

@@ -9,9 +9,12 @@ pub type Seat = [f64; 4];
 /// Factorised chain.
 #[derive(Clone, Debug, Default)]
 pub struct SeatChain {
+    /// Per seat; symmetric, so that columns serve as rows.
     inverse: Vec<Block>,
-    /// Inverse diagonal × coupling towards the middle, transposed for a column-wise product.
-    towards_middle: Vec<Block>,
+    /// Load moved towards the middle per load on a seat, negative, by columns.
+    eliminate: Vec<Block>,
+    /// Motion of a seat per motion of its neighbour towards the middle, by columns.
+    substitute: Vec<Block>,
     middle: usize,
 }
 
@@ -35,70 +38,81 @@ impl SeatChain {
             subtract(&mut diagonal[i - 1], &update);
         }
         inverse[middle] = invert(&diagonal[middle])?;
-        Some(Self { inverse, towards_middle, middle })
+        // Loads move with the transpose of what motion follows: its rows are the columns of the one …
+        let eliminate = towards_middle.iter().map(negative).collect();
+        // … and its columns are the columns of the other.
+        let substitute = towards_middle.iter().map(|w| negative(&transpose(w))).collect();
+        Some(Self { inverse, eliminate, substitute, middle })
     }
 
     /// Solves in place.
     #[inline(always)]
     pub fn solve(&self, x: &mut [Seat]) {
         let (n, m) = (x.len().min(self.inverse.len()), self.middle);
-        let pairs = m.min(n - 1 - m);
+        let (left, rest) = x[..n].split_at_mut(m);
+        let Some((middle, right)) = rest.split_first_mut() else { return };
+        let (mut from_left, mut from_right) = ([0.0; 4], [0.0; 4]);
+        let pairs = left.len().min(right.len());
         for j in 0..pairs {
-            self.eliminate(x, j, j + 1);
-            self.eliminate(x, n - 1 - j, n - 2 - j);
+            from_left = step(&self.eliminate[j], &mut left[j], from_left);
+            from_right = step(&self.eliminate[n - 1 - j], &mut right[n - 2 - m - j], from_right);
         }
-        for j in pairs..m {
-            self.eliminate(x, j, j + 1);
+        for j in pairs..left.len() {
+            from_left = step(&self.eliminate[j], &mut left[j], from_left);
         }
-        for j in (m + 1..n - pairs).rev() {
-            self.eliminate(x, j, j - 1);
+        for j in pairs..right.len() {
+            from_right = step(&self.eliminate[n - 1 - j], &mut right[n - 2 - m - j], from_right);
         }
-        x[m] = apply(&self.inverse[m], &x[m]);
-        for j in (m + 1)..(n - pairs) {
-            self.substitute(x, j, j - 1);
+        let load = add(&add(middle, &from_left), &from_right);
+        *middle = apply(&self.inverse[m], &load, &[0.0; 4]);
+        let (mut known_left, mut known_right) = (*middle, *middle);
+        for j in 0..pairs {
+            let (l, r) = (m - 1 - j, m + 1 + j);
+            known_left = self.recover(l, &mut left[l], known_left);
+            known_right = self.recover(r, &mut right[j], known_right);
         }
-        for j in (pairs..m).rev() {
-            self.substitute(x, j, j + 1);
+        for l in (0..left.len() - pairs).rev() {
+            known_left = self.recover(l, &mut left[l], known_left);
         }
-        for j in (0..pairs).rev() {
-            self.substitute(x, j, j + 1);
-            self.substitute(x, n - 1 - j, n - 2 - j);
+        for j in pairs..right.len() {
+            known_right = self.recover(m + 1 + j, &mut right[j], known_right);
         }
     }
 
+    /// Motion of a seat, whose load was collected, from that of its neighbour.
     #[inline(always)]
-    fn eliminate(&self, x: &mut [Seat], from: usize, to: usize) {
-        let (w, source) = (&self.towards_middle[from], x[from]);
-        let mut target = x[to];
-        for (row, s) in w.iter().zip(source) {
-            for (t, value) in target.iter_mut().zip(row) {
-                *t -= value * s;
-            }
-        }
-        x[to] = target;
-    }
-
-    #[inline(always)]
-    fn substitute(&self, x: &mut [Seat], at: usize, known: usize) {
-        let (w, k) = (&self.towards_middle[at], x[known]);
-        let mut value = apply(&self.inverse[at], &x[at]);
-        for (v, row) in value.iter_mut().zip(w) {
-            *v -= (row[0] * k[0] + row[1] * k[1]) + (row[2] * k[2] + row[3] * k[3]);
-        }
-        x[at] = value;
+    fn recover(&self, at: usize, seat: &mut Seat, known: Seat) -> Seat {
+        let own = apply(&self.inverse[at], seat, &[0.0; 4]);
+        *seat = apply(&self.substitute[at], &known, &own);
+        *seat
     }
 }
 
+/// Collects the load of a seat with what comes from outside; returns what goes on towards the middle.
 #[inline(always)]
-fn apply(m: &Block, v: &Seat) -> Seat {
-    // Inverses of symmetric blocks are symmetric: columns serve as rows.
-    let mut out = [0.0; 4];
-    for (row, s) in m.iter().zip(v) {
-        for (o, value) in out.iter_mut().zip(row) {
-            *o += value * s;
-        }
+fn step(eliminate: &Block, seat: &mut Seat, from_outside: Seat) -> Seat {
+    *seat = add(seat, &from_outside);
+    apply(eliminate, seat, &[0.0; 4])
+}
+
+#[inline(always)]
+fn add(a: &Seat, b: &Seat) -> Seat {
+    std::array::from_fn(|i| a[i] + b[i])
+}
+
+/// Sum of columns times values, plus `rest`; in pairs, because each waits for the one before.
+#[inline(always)]
+fn apply(columns: &Block, v: &Seat, rest: &Seat) -> Seat {
+    let (mut first, mut second) = ([0.0; 4], [0.0; 4]);
+    for i in 0..4 {
+        first[i] = columns[1][i].mul_add(v[1], columns[0][i].mul_add(v[0], rest[i]));
+        second[i] = columns[3][i].mul_add(v[3], columns[2][i] * v[2]);
     }
-    out
+    add(&first, &second)
+}
+
+fn negative(a: &Block) -> Block {
+    a.map(|row| row.map(|value| -value))
 }
 
 fn multiply(a: &Block, b: &Block) -> Block {

@@ -1,5 +1,10 @@
 //! Wheel-rail contact: force as a function of the approach of wheel and rail; no tension.
 
+use pulp::Simd;
+
+use super::model::Lanes;
+use super::vectors::{parts, vectors, vectors_mut};
+
 /// Law of the normal contact.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum ContactLaw {
@@ -9,10 +14,8 @@ pub enum ContactLaw {
     Linear(f64),
 }
 
-/// Newton stops when the approach changes by less than this part; convergence is quadratic, so that the error left is of the
-/// order of its square.
-const TOLERANCE: f64 = 3e-6;
-const NEWTON_STEPS: usize = 30;
+/// Newton starts at this part of the free approach at least.
+const LEAST_START: f64 = 1e-3;
 
 impl ContactLaw {
     /// Force at approach `delta_m`; zero when wheel and rail are apart.
@@ -34,30 +37,54 @@ impl ContactLaw {
         }
     }
 
-    /// Force when the approach is `free_m` without a force and `compliance_m_n` less per newton:
-    /// F = law(free − compliance · F). `guess_n` speeds it up.
+    /// One Newton step of neighbouring contacts towards δ = free − compliance · F(δ), without tension. Both laws are convex
+    /// and increasing, so that the steps converge from any start.
     #[inline(always)]
-    pub fn solve_n(self, free_m: f64, compliance_m_n: f64, guess_n: f64) -> f64 {
-        if free_m <= 0.0 {
-            return 0.0;
+    pub(super) fn newton<S: Simd>(self, simd: S, contacts: &mut Contacts) {
+        let (zero, one) = (simd.splat_f64s(0.0), simd.splat_f64s(1.0));
+        for part in 0..parts::<S>() {
+            let (free, compliance) =
+                (vectors::<S>(&contacts.free_m)[part], vectors::<S>(&contacts.compliance_m_n)[part]);
+            let delta = &mut vectors_mut::<S>(&mut contacts.approach_m)[part];
+            let force = &mut vectors_mut::<S>(&mut contacts.force_n)[part];
+            // From zero the slope of Hertz's law leads nowhere in particular.
+            let start = simd.max_f64s(*delta, simd.mul_f64s(simd.splat_f64s(LEAST_START), free));
+            let start = simd.max_f64s(start, zero);
+            let (at_start, slope) = self.force_and_slope(simd, start);
+            let misfit = simd.mul_add_f64s(compliance, at_start, simd.sub_f64s(start, free));
+            let change = simd.div_f64s(misfit, simd.mul_add_f64s(compliance, slope, one));
+            let after = simd.max_f64s(simd.sub_f64s(start, change), zero);
+            *delta = simd.select_f64s(simd.greater_than_f64s(free, zero), after, zero);
+            *force = self.force_and_slope(simd, *delta).0;
         }
-        let c = match self {
-            ContactLaw::Linear(k) => return k * free_m / (1.0 + k * compliance_m_n),
-            ContactLaw::Hertz(c) => c,
-        };
-        // g(δ) = δ + a δ^1.5 − free is increasing and convex: Newton converges from any positive start.
-        let a = c * compliance_m_n;
-        let mut delta = (free_m - compliance_m_n * guess_n).clamp(1e-3 * free_m, free_m);
-        for _ in 0..NEWTON_STEPS {
-            let root = delta.sqrt();
-            let change = (delta + a * delta * root - free_m) / (1.0 + 1.5 * a * root);
-            delta = (delta - change).max(0.0);
-            if change.abs() <= TOLERANCE * free_m {
-                break;
+    }
+
+    #[inline(always)]
+    fn force_and_slope<S: Simd>(self, simd: S, delta: S::f64s) -> (S::f64s, S::f64s) {
+        match self {
+            ContactLaw::Hertz(c) => {
+                let per_delta = simd.mul_f64s(simd.splat_f64s(c), simd.sqrt_f64s(delta));
+                (simd.mul_f64s(per_delta, delta), simd.mul_f64s(simd.splat_f64s(1.5), per_delta))
+            }
+            ContactLaw::Linear(k) => {
+                let k = simd.splat_f64s(k);
+                (simd.mul_f64s(k, delta), k)
             }
         }
-        self.force_n(delta)
     }
+}
+
+/// Neighbouring contacts on their way to a solution.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Contacts {
+    /// Approach without contact force, m.
+    pub free_m: Lanes,
+    /// Decrease of the approach per newton, m/N.
+    pub compliance_m_n: Lanes,
+    /// m.
+    pub approach_m: Lanes,
+    /// N.
+    pub force_n: Lanes,
 }
 
 #[cfg(test)]
@@ -74,11 +101,20 @@ mod tests {
 
     #[test]
     fn property_solution_satisfies_the_law_and_never_pulls() {
+        let solve = |law: ContactLaw, free: f64, compliance: f64, guess: f64| {
+            let mut contacts =
+                Contacts { free_m: [free; 8], compliance_m_n: [compliance; 8], ..Contacts::default() };
+            contacts.approach_m = [free - compliance * guess; 8];
+            for _ in 0..30 {
+                law.newton(pulp::Scalar::new(), &mut contacts);
+            }
+            contacts.force_n[3]
+        };
         let law = ContactLaw::Hertz(9.3e10);
         for free in [1e-9, 1e-6, 1e-4, 1e-3] {
             for compliance in [0.0, 1e-12, 1e-10, 1e-8] {
                 for guess in [0.0, 1e3, 1e6] {
-                    let f = law.solve_n(free, compliance, guess);
+                    let f = solve(law, free, compliance, guess);
                     assert!(
                         (law.force_n(free - compliance * f) / f - 1.0).abs() < 1e-6,
                         "{free} {compliance}"
@@ -86,8 +122,8 @@ mod tests {
                 }
             }
         }
-        assert_eq!(law.solve_n(-1e-3, 1e-9, 5e4), 0.0);
+        assert_eq!(solve(law, -1e-3, 1e-9, 5e4), 0.0);
         assert_eq!(law.force_n(-1e-6), 0.0);
-        assert!((ContactLaw::Linear(1e9).solve_n(1e-4, 1e-9, 0.0) - 5e4).abs() < 1e-6);
+        assert!((solve(ContactLaw::Linear(1e9), 1e-4, 1e-9, 0.0) - 5e4).abs() < 1e-6);
     }
 }

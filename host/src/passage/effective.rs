@@ -1,11 +1,15 @@
 //! Effective matrix A = a_m M + a_c C + a_k K of the whole track, factorised once: sleepers are condensed to the rail
 //! seats, nodes between the seats are condensed bay by bay, and the seats remain as a chain of 4×4 blocks.
 
+use aligned_vec::avec;
 use nalgebra::DMatrix;
+use pulp::Simd;
 
 use super::chain::{Block, Seat, SeatChain};
 use super::error::SimulationError;
-use super::model::{CHUNK, Layout, MOST_ELEMENTS, TrackModel};
+use super::model::{Layout, TrackModel};
+use super::sleepers::Sleepers;
+use super::vectors::{Aligned, vectors, vectors_mut};
 
 /// Shares of mass, damping and stiffness in the effective matrix.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -19,41 +23,26 @@ pub(super) struct Shares {
 #[derive(Clone, Debug)]
 pub(super) struct Effective {
     layout: Layout,
-    /// Effective stiffness of a pad.
-    pub pad: f64,
-    coordinates: usize,
-    seat_shape: [Vec<f64>; 2],
-    /// `[(i · n + j) · stride + sleeper]`.
-    sleeper_inverse: Vec<f64>,
-    /// `[(side · n + i) · stride + sleeper]`: motion of the coordinates per seat motion.
-    seat_gain: Vec<f64>,
     /// `[(i · m + j) · row + lane]`, m values inside a bay.
-    interior_inverse: Vec<f64>,
-    /// `[(i · 4 + a) · row + lane]`: motion inside the bay per motion of its two seats, negative.
-    interior_gain: Vec<f64>,
+    interior_inverse: Aligned<f64>,
+    /// `[(i · 4 + a) · row + lane]`: motion inside the bay per motion of its two seats.
+    interior_gain: Aligned<f64>,
     chain: SeatChain,
 }
 
 impl Effective {
-    pub fn new(model: &TrackModel, shares: Shares) -> Result<Self, SimulationError> {
+    pub fn new(model: &TrackModel, sleepers: &Sleepers, shares: Shares) -> Result<Self, SimulationError> {
         let layout = model.layout;
-        let (n, m) = (model.basis.len(), 2 * (layout.nodes_per_bay - 1));
+        let m = 2 * (layout.nodes_per_bay - 1);
         let mut effective = Self {
             layout,
-            pad: shares.damping * model.pad.damping + shares.stiffness * model.pad.stiffness,
-            coordinates: n,
-            seat_shape: model.basis.seat.clone(),
-            sleeper_inverse: vec![0.0; n * n * layout.stride],
-            seat_gain: vec![0.0; 2 * n * layout.stride],
-            interior_inverse: vec![0.0; m * m * layout.row],
-            interior_gain: vec![0.0; 4 * m * layout.row],
+            interior_inverse: avec![0.0; m * m * layout.row],
+            interior_gain: avec![0.0; 4 * m * layout.row],
             chain: SeatChain::default(),
         };
-        let mut diagonal = vec![[[0.0; 4]; 4]; layout.sleepers];
+        let mut diagonal: Vec<Block> =
+            (0..layout.sleepers).map(|s| seat_block(sleepers.seat_stiffness(s))).collect();
         let mut upper = vec![[[0.0; 4]; 4]; layout.sleepers - 1];
-        for sleeper in 0..layout.sleepers {
-            effective.condense_sleeper(model, shares, sleeper, &mut diagonal[sleeper])?;
-        }
         for side in 0..2 {
             for bay in 0..layout.sleepers - 1 {
                 effective.condense_bay(model, shares, [side, bay], (&mut diagonal, &mut upper))?;
@@ -62,52 +51,6 @@ impl Effective {
         effective.chain = SeatChain::new(diagonal, &upper)
             .ok_or(SimulationError::Singular { what: "effective", place: "the rails".into() })?;
         Ok(effective)
-    }
-
-    fn condense_sleeper(
-        &mut self,
-        model: &TrackModel,
-        shares: Shares,
-        sleeper: usize,
-        seat: &mut Block,
-    ) -> Result<(), SimulationError> {
-        let (basis, support, n) = (&model.basis, &model.supports[sleeper], self.coordinates);
-        let (k, c) = support.implicit();
-        let elastic = shares.damping * basis.damping_s + shares.stiffness;
-        let bed = shares.mass * support.mass_kg_m + shares.damping * c + shares.stiffness * k;
-        let mut matrix = &basis.bed * bed;
-        for i in 0..n {
-            matrix[(i, i)] += shares.mass + elastic * basis.elastic[i];
-            for j in 0..n {
-                let shapes = basis.seat[0][i] * basis.seat[0][j] + basis.seat[1][i] * basis.seat[1][j];
-                matrix[(i, j)] += self.pad * shapes;
-            }
-        }
-        let inverse = matrix
-            .cholesky()
-            .ok_or_else(|| SimulationError::Singular {
-                what: "effective",
-                place: format!("sleeper {sleeper}"),
-            })?
-            .inverse();
-        for i in 0..n {
-            for j in 0..n {
-                self.sleeper_inverse[(i * n + j) * self.layout.stride + sleeper] = inverse[(i, j)];
-            }
-            for side in 0..2 {
-                let gain: f64 = (0..n).map(|j| self.pad * inverse[(i, j)] * basis.seat[side][j]).sum();
-                self.seat_gain[(side * n + i) * self.layout.stride + sleeper] = gain;
-            }
-        }
-        for a in 0..2 {
-            for b in 0..2 {
-                let through: f64 = (0..n)
-                    .map(|i| basis.seat[a][i] * self.seat_gain[(b * n + i) * self.layout.stride + sleeper])
-                    .sum();
-                seat[2 * a][2 * b] += if a == b { self.pad } else { 0.0 } - self.pad * through;
-            }
-        }
-        Ok(())
     }
 
     /// Eliminates the nodes inside one bay of one rail.
@@ -150,7 +93,7 @@ impl Effective {
                     self.interior_inverse[(i * m + j) * self.layout.row + lane] = inverse[(i, j)];
                 }
                 for a in 0..4 {
-                    self.interior_gain[(i * 4 + a) * self.layout.row + lane] = gain[(i, a)];
+                    self.interior_gain[(i * 4 + a) * self.layout.row + lane] = -gain[(i, a)];
                 }
             }
         }
@@ -165,127 +108,115 @@ impl Effective {
         Ok(())
     }
 
-    /// Free motion of the sleepers (`y`) under `sleepers`, and its action on the rail seats, added to `rails`.
+    /// Motion `x` of the rails under `rhs`, which is spoilt.
     #[inline(always)]
-    pub fn condense(&self, sleepers: &[f64], y: &mut [f64], rails: &mut [f64]) {
-        let (n, stride) = (self.coordinates, self.layout.stride);
-        for chunk in 0..stride / CHUNK {
-            let at = chunk * CHUNK;
-            let mut seats = [[0.0; CHUNK]; 2];
-            for i in 0..n {
-                let mut sum = [0.0; CHUNK];
-                for j in 0..n {
-                    let a = lanes(&self.sleeper_inverse, (i * n + j) * stride + at);
-                    let b = lanes(sleepers, j * stride + at);
-                    for l in 0..CHUNK {
-                        sum[l] += a[l] * b[l];
-                    }
-                }
-                lanes_mut(y, i * stride + at).copy_from_slice(&sum);
-                for (seat, shape) in seats.iter_mut().zip(&self.seat_shape) {
-                    let weight = self.pad * shape[i];
-                    for l in 0..CHUNK {
-                        seat[l] += weight * sum[l];
-                    }
-                }
-            }
-            for (side, seat) in seats.iter().enumerate() {
-                let target = lanes_mut(rails, side * stride + at);
-                for l in 0..CHUNK {
-                    target[l] += seat[l];
-                }
-            }
-        }
-    }
-
-    /// Motion of the rails under `rhs`, in place; `seats` is scratch of one value per sleeper.
-    #[inline(always)]
-    pub fn solve_rails(&self, rhs: &mut [f64], seats: &mut [Seat]) {
-        self.eliminate_bays(rhs);
-        let (row, stride) = (self.layout.row, self.layout.stride);
+    pub fn solve_rails<S: Simd>(&self, simd: S, rhs: &mut [f64], x: &mut [f64], seats: &mut [Seat]) {
+        self.eliminate_bays(simd, rhs);
+        let (row, stride, n) = (self.layout.row, self.layout.stride, seats.len());
+        let places = [0, row, stride, row + stride];
+        let loads = places.map(|at| &rhs[at..at + n]);
         for (s, seat) in seats.iter_mut().enumerate() {
-            *seat = [rhs[s], rhs[row + s], rhs[stride + s], rhs[row + stride + s]];
+            *seat = loads.map(|row| row[s]);
         }
         self.chain.solve(seats);
-        for (s, seat) in seats.iter().enumerate() {
-            [rhs[s], rhs[row + s], rhs[stride + s], rhs[row + stride + s]] = *seat;
+        for (a, at) in places.into_iter().enumerate() {
+            for (value, seat) in x[at..at + n].iter_mut().zip(&*seats) {
+                *value = seat[a];
+            }
         }
-        self.recover_bays(rhs);
+        self.recover_bays(simd, rhs, x);
     }
 
+    /// Loads inside the bays, moved to the seats.
     #[inline(always)]
-    fn eliminate_bays(&self, rhs: &mut [f64]) {
-        let (row, m) = (self.layout.row, 2 * (self.layout.nodes_per_bay - 1));
-        for at in (0..self.layout.lanes()).step_by(CHUNK) {
-            let mut sum = [[0.0; CHUNK]; 4];
-            for i in 0..m {
-                let b = *lanes(rhs, (2 + i) * row + at);
-                for (a, s) in sum.iter_mut().enumerate() {
-                    let g = lanes(&self.interior_gain, (i * 4 + a) * row + at);
-                    for l in 0..CHUNK {
-                        s[l] += g[l] * b[l];
-                    }
-                }
-            }
-            for (a, s) in sum.iter().enumerate() {
-                let target = lanes_mut(rhs, (a % 2) * row + at + a / 2);
-                for l in 0..CHUNK {
-                    target[l] -= s[l];
-                }
+    fn eliminate_bays<S: Simd>(&self, simd: S, rhs: &mut [f64]) {
+        let (row, lanes, m) = (self.layout.row, self.layout.lanes(), 2 * (self.layout.nodes_per_bay - 1));
+        let (seats, interior) = rhs.split_at_mut(2 * row);
+        for pair in 0..m / 2 {
+            let loads = [2 * pair, 2 * pair + 1].map(|i| vectors::<S>(&interior[i * row..i * row + lanes]));
+            for a in 0..4 {
+                let gains = [2 * pair, 2 * pair + 1].map(|i| self.gain::<S>(i, a));
+                let start = (a % 2) * row + a / 2;
+                let target = vectors_mut::<S>(&mut seats[start..start + lanes]);
+                add_products(simd, target, &gains, &loads);
             }
         }
     }
 
+    /// Motion inside the bays from loads there and motion of the seats.
     #[inline(always)]
-    fn recover_bays(&self, x: &mut [f64]) {
-        let (row, m) = (self.layout.row, 2 * (self.layout.nodes_per_bay - 1));
-        let mut inner = [[0.0; CHUNK]; MOST_INTERIOR];
-        for at in (0..self.layout.lanes()).step_by(CHUNK) {
-            let seat: [[f64; CHUNK]; 4] = std::array::from_fn(|a| *lanes(x, (a % 2) * row + at + a / 2));
-            for i in 0..m {
-                let mut sum = [0.0; CHUNK];
-                for j in 0..m {
-                    let (a, b) =
-                        (lanes(&self.interior_inverse, (i * m + j) * row + at), lanes(x, (2 + j) * row + at));
-                    for l in 0..CHUNK {
-                        sum[l] += a[l] * b[l];
-                    }
-                }
-                for (a, s) in seat.iter().enumerate() {
-                    let g = lanes(&self.interior_gain, (i * 4 + a) * row + at);
-                    for l in 0..CHUNK {
-                        sum[l] -= g[l] * s[l];
-                    }
-                }
-                inner[i] = sum;
-            }
-            for (i, values) in inner.iter().enumerate().take(m) {
-                lanes_mut(x, (2 + i) * row + at).copy_from_slice(values);
+    fn recover_bays<S: Simd>(&self, simd: S, loads: &[f64], x: &mut [f64]) {
+        let (row, lanes, m) = (self.layout.row, self.layout.lanes(), 2 * (self.layout.nodes_per_bay - 1));
+        let (seats, interior) = x.split_at_mut(2 * row);
+        let seats = [0, row, 1, row + 1].map(|at| vectors::<S>(&seats[at..at + lanes]));
+        for i in 0..m {
+            let target = vectors_mut::<S>(&mut interior[i * row..i * row + lanes]);
+            set_products(simd, target, &[0, 1, 2, 3].map(|a| self.gain::<S>(i, a)), &seats);
+            for pair in 0..m / 2 {
+                let of = [2 * pair, 2 * pair + 1];
+                let inverse = of.map(|j| {
+                    let at = (i * m + j) * row;
+                    vectors::<S>(&self.interior_inverse[at..at + lanes])
+                });
+                let loads = of.map(|j| vectors::<S>(&loads[(2 + j) * row..(2 + j) * row + lanes]));
+                add_products(simd, target, &inverse, &loads);
             }
         }
     }
 
-    /// Motion of the sleepers: `y` becomes y + gain · seat motion.
+    /// Motion of value `i` inside the bays per motion of degree of freedom `a` of their ends.
     #[inline(always)]
-    pub fn recover_sleepers(&self, rails: &[f64], y: &mut [f64]) {
-        let (n, stride) = (self.coordinates, self.layout.stride);
-        for at in (0..stride).step_by(CHUNK) {
-            let seats = [*lanes(rails, at), *lanes(rails, stride + at)];
-            for i in 0..n {
-                let target = lanes_mut(y, i * stride + at);
-                for (side, seat) in seats.iter().enumerate() {
-                    let g = lanes(&self.seat_gain, (side * n + i) * stride + at);
-                    for l in 0..CHUNK {
-                        target[l] += g[l] * seat[l];
-                    }
-                }
-            }
-        }
+    fn gain<S: Simd>(&self, i: usize, a: usize) -> &[S::f64s] {
+        let at = (i * 4 + a) * self.layout.row;
+        vectors::<S>(&self.interior_gain[at..at + self.layout.lanes()])
     }
 }
 
-/// Most values inside a bay.
-pub(super) const MOST_INTERIOR: usize = 2 * MOST_ELEMENTS;
+/// Adds the products of rows to a row.
+#[inline(always)]
+fn add_products<S: Simd, const N: usize>(
+    simd: S,
+    target: &mut [S::f64s],
+    factors: &[&[S::f64s]; N],
+    values: &[&[S::f64s]; N],
+) {
+    let count = target.len();
+    let (factors, values) = (factors.map(|row| &row[..count]), values.map(|row| &row[..count]));
+    for l in 0..count {
+        let mut sum = target[l];
+        for n in 0..N {
+            sum = simd.mul_add_f64s(factors[n][l], values[n][l], sum);
+        }
+        target[l] = sum;
+    }
+}
+
+/// Sum of the products of rows.
+#[inline(always)]
+fn set_products<S: Simd, const N: usize>(
+    simd: S,
+    target: &mut [S::f64s],
+    factors: &[&[S::f64s]; N],
+    values: &[&[S::f64s]; N],
+) {
+    let count = target.len();
+    let (factors, values) = (factors.map(|row| &row[..count]), values.map(|row| &row[..count]));
+    for l in 0..count {
+        let mut sum = simd.mul_f64s(factors[0][l], values[0][l]);
+        for n in 1..N {
+            sum = simd.mul_add_f64s(factors[n][l], values[n][l], sum);
+        }
+        target[l] = sum;
+    }
+}
+
+/// Seats of both rails on a sleeper.
+fn seat_block([own, between, other]: [f64; 3]) -> Block {
+    let mut block = [[0.0; 4]; 4];
+    (block[0][0], block[2][2]) = (own, other);
+    (block[0][2], block[2][0]) = (between, between);
+    block
+}
 
 /// Row of an element's degree of freedom in a bay matrix: interior first, then left seat, then right seat.
 fn place(element: usize, a: usize, interior: usize) -> usize {
@@ -294,23 +225,5 @@ fn place(element: usize, a: usize, interior: usize) -> usize {
         0 => interior + a % 2,
         _ if 2 * (node - 1) < interior => 2 * (node - 1) + a % 2,
         _ => interior + 2 + a % 2,
-    }
-}
-
-/// A fixed number of neighbouring lanes.
-#[inline(always)]
-pub(super) fn lanes(values: &[f64], at: usize) -> &[f64; CHUNK] {
-    match values[at..at + CHUNK].first_chunk() {
-        Some(chunk) => chunk,
-        None => &[0.0; CHUNK],
-    }
-}
-
-#[inline(always)]
-pub(super) fn lanes_mut(values: &mut [f64], at: usize) -> &mut [f64; CHUNK] {
-    // The slice has exactly the length of the array.
-    match values[at..at + CHUNK].first_chunk_mut() {
-        Some(chunk) => chunk,
-        None => unreachable!("a slice of CHUNK values holds CHUNK values"),
     }
 }

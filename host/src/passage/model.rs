@@ -2,7 +2,8 @@
 //!
 //! Rail values are stored in rows of equal local node and degree of freedom, so that the same operation runs over all
 //! sleeper bays of both rails at once: `row = 2 · node in bay + (0 deflection, 1 rotation)`, and within a row
-//! `lane = side · stride + sleeper` (side 0 = crossing rail).
+//! `lane = side · stride + sleeper` (side 0 = crossing rail). Sleeper values are stored as
+//! `[sleeper / 8 · coordinates + coordinate][sleeper % 8]`.
 
 use super::basis::SleeperBasis;
 use super::error::{SimulationError, in_range};
@@ -13,6 +14,8 @@ use crate::track::{Kelvin, Side, Track};
 
 /// Values handled together in the inner loops.
 pub(super) const CHUNK: usize = 8;
+/// The same value of neighbouring sleepers.
+pub(super) type Lanes = [f64; CHUNK];
 
 /// Most rail elements between two sleepers.
 pub(super) const MOST_ELEMENTS: usize = 16;
@@ -112,7 +115,7 @@ pub struct TrackModel {
 }
 
 /// Number of sleeper modes beside the two static shapes: error against the full model in the tests of `stepper`.
-pub const SLEEPER_MODES: usize = 5;
+pub const SLEEPER_MODES: usize = 6;
 
 impl TrackModel {
     /// `supports`: one per sleeper.

@@ -2,15 +2,20 @@
 //! acceleration (implicit midpoint rule): unconditionally stable, second order, no numerical damping. θ > ½ damps.
 //!
 //! With v the rate at t + θ dt and A = M/(θ dt) + C + θ dt K, one step solves A v = f + b with b = M v₀/(θ dt) − K u₀.
-//! Because M v/(θ dt) = f + b − C v − θ dt K v, neither M nor K is applied to the state: with the elastic force r = K u,
-//!   b ← b + (f − r − C v)/θ − 2 dt K v,   r ← r + dt K v,   u ← u + dt v.
+//! Because M v/(θ dt) = f + b − C v − θ dt K v, the mass is never applied to the state:
+//!   b ← b + (f − C v)/θ − K (u/θ + 2 dt v),   u ← u + dt v.
 
+use aligned_vec::avec;
+
+use super::beds::NonlinearBeds;
 use super::chain::Seat;
-use super::effective::{Effective, Shares, lanes, lanes_mut};
+use super::effective::{Effective, Shares};
 use super::error::SimulationError;
 use super::influence::Influence;
 use super::model::{CHUNK, RailPoint, TrackModel};
-use super::support::Support;
+use super::rails::{RailState, Rails};
+use super::sleepers::{SleeperState, Sleepers};
+use super::vectors::Aligned;
 
 /// Step and scheme.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -56,51 +61,22 @@ pub struct Stepper {
     pub model: TrackModel,
     /// Step and scheme.
     pub step: TimeStep,
+    sleepers: Sleepers,
+    beds: NonlinearBeds,
+    rails: Rails,
     effective: Effective,
     influence: Influence,
-    elements: Elements,
-    /// Per sleeper lane: implicit ballast stiffness, damping and 1/(a_m m + c + a_k k).
-    bed_stiffness: Vec<f64>,
-    bed_damping: Vec<f64>,
-    bed_inverse: Vec<f64>,
-    nonlinear: Vec<usize>,
     pub(super) arch: pulp::Arch,
-}
-
-/// Stiffness of the rail elements in terms of shear and bending deformation, `[element in bay · row + lane]`.
-#[derive(Clone, Debug)]
-struct Elements {
-    shear: Vec<f64>,
-    bending: Vec<f64>,
-    half_length_m: f64,
 }
 
 /// Motion of the track.
 #[derive(Clone, Debug)]
 pub struct TrackState {
-    rail: Motion,
-    sleeper: Motion,
-    /// Sleeper rates one step earlier.
-    earlier: Vec<f64>,
-    correction: Vec<f64>,
-    load: Vec<f64>,
-    work: Vec<f64>,
+    rail: RailState,
+    sleeper: SleeperState,
+    /// Loads on the rails in the step that has begun, those of the sleepers included.
+    work: Aligned<f64>,
     seats: Vec<Seat>,
-}
-
-/// Displacement u, rate v at t + θ dt, elastic force r and momentum term b of a set of values.
-#[derive(Clone, Debug)]
-struct Motion {
-    u: Vec<f64>,
-    v: Vec<f64>,
-    r: Vec<f64>,
-    b: Vec<f64>,
-}
-
-impl Motion {
-    fn at_rest(len: usize) -> Self {
-        Self { u: vec![0.0; len], v: vec![0.0; len], r: vec![0.0; len], b: vec![0.0; len] }
-    }
 }
 
 impl Stepper {
@@ -108,30 +84,14 @@ impl Stepper {
     pub fn new(model: TrackModel, step: TimeStep) -> Result<Self, SimulationError> {
         step.check()?;
         let shares = step.shares();
-        let effective = Effective::new(&model, shares)?;
-        let influence = Influence::new(&model, &effective);
-        let stride = model.layout.stride;
-        let per_sleeper = |value: &dyn Fn(&Support) -> f64| {
-            let mut lanes = vec![0.0; stride];
-            for (lane, support) in lanes.iter_mut().zip(&model.supports) {
-                *lane = value(support);
-            }
-            lanes
-        };
-        let bed = |s: &Support| {
-            let (k, c) = s.implicit();
-            let sum = shares.mass * s.mass_kg_m + c + shares.stiffness * k;
-            // Without a bed its deflection is of no consequence.
-            if sum > 0.0 { 1.0 / sum } else { 0.0 }
-        };
+        let sleepers = Sleepers::new(&model, shares)?;
+        let effective = Effective::new(&model, &sleepers, shares)?;
         Ok(Self {
-            bed_stiffness: per_sleeper(&|s| s.implicit().0),
-            bed_damping: per_sleeper(&|s| s.implicit().1),
-            bed_inverse: per_sleeper(&bed),
-            nonlinear: (0..model.supports.len()).filter(|s| !model.supports[*s].is_linear()).collect(),
-            elements: Elements::new(&model),
+            influence: Influence::new(&model, &effective),
+            beds: NonlinearBeds::new(&model),
+            rails: Rails::new(&model),
+            sleepers,
             effective,
-            influence,
             step,
             model,
             arch: pulp::Arch::new(),
@@ -146,42 +106,41 @@ impl Stepper {
 
     /// Sleepers whose bed is not linear.
     pub fn nonlinear_sleepers(&self) -> &[usize] {
-        &self.nonlinear
+        &self.beds.sleepers
     }
 
     /// Unloaded track at rest.
     pub fn at_rest(&self) -> TrackState {
         let layout = self.model.layout;
-        let (rail, sleeper) = (layout.rows() * layout.row, self.model.basis.len() * layout.stride);
         TrackState {
-            rail: Motion::at_rest(rail),
-            sleeper: Motion::at_rest(sleeper),
-            earlier: vec![0.0; sleeper],
-            correction: vec![0.0; sleeper],
-            load: vec![0.0; sleeper],
-            work: vec![0.0; rail],
+            rail: self.rails.at_rest(),
+            sleeper: self.sleepers.at_rest(),
+            work: avec![0.0; layout.rows() * layout.row],
             seats: vec![[0.0; 4]; layout.sleepers],
         }
     }
 
     /// Track at rest under constant forces (N) on rail points. The ballast must be linear.
     pub fn static_state(&self, loads: &[(RailPoint, f64)]) -> Result<TrackState, SimulationError> {
-        if let Some(&sleeper) = self.nonlinear.first() {
+        if let Some(&sleeper) = self.beds.sleepers.first() {
             return Err(SimulationError::StaticStart { sleeper });
         }
         let shares = Shares { mass: 0.0, damping: 0.0, stiffness: 1.0 };
-        let elastic = Effective::new(&self.model, shares)?;
+        let sleepers = Sleepers::new(&self.model, shares)?;
+        let effective = Effective::new(&self.model, &sleepers, shares)?;
         let mut state = self.at_rest();
+        let mut still = sleepers.at_rest();
         for (point, force) in loads {
-            self.add_load(&mut state.rail.r, point, *force);
+            self.add_load(&mut state.work, point, *force);
+            self.add_load(&mut state.rail.b, point, -force);
         }
-        for (b, r) in state.rail.b.iter_mut().zip(&state.rail.r) {
-            *b = -r;
-        }
-        state.rail.u.copy_from_slice(&state.rail.r);
-        elastic.condense(&state.correction, &mut state.sleeper.u, &mut state.rail.u);
-        elastic.solve_rails(&mut state.rail.u, &mut state.seats);
-        elastic.recover_sleepers(&state.rail.u, &mut state.sleeper.u);
+        self.arch.dispatch(Settle {
+            sleepers: &sleepers,
+            effective: &effective,
+            state: &mut state,
+            still: &mut still,
+        });
+        state.sleeper.u = sleepers.convert(&still.v, &self.sleepers)?;
         Ok(state)
     }
 
@@ -193,16 +152,13 @@ impl Stepper {
 
     /// Begins a step: everything but the loads on the rails.
     pub fn begin(&self, state: &mut TrackState) {
-        if !self.nonlinear.is_empty() {
-            self.correct_beds(state);
-        }
         self.arch.dispatch(Begin(self, state));
     }
 
     /// Rate of a rail point at t + θ dt under everything but the loads of this step.
     #[inline(always)]
-    pub fn free_rate(&self, state: &TrackState, point: &RailPoint) -> f64 {
-        self.influence.rate(point, &state.work)
+    pub(super) fn free_rate<S: pulp::Simd>(&self, simd: S, state: &TrackState, point: &RailPoint) -> f64 {
+        self.influence.rate(simd, point, &state.work)
     }
 
     /// Rate of a rail point per newton on it.
@@ -212,6 +168,7 @@ impl Stepper {
     }
 
     /// Loads a rail point during this step; between [`Stepper::begin`] and [`Stepper::finish`].
+    #[inline(always)]
     pub fn load(&self, state: &mut TrackState, point: &RailPoint, force_n: f64) {
         self.add_load(&mut state.work, point, force_n);
         self.add_load(&mut state.rail.b, point, force_n / self.step.theta);
@@ -222,118 +179,16 @@ impl Stepper {
         self.arch.dispatch(Finish(self, state));
     }
 
-    /// Sleepers and pads: new r, b, u of the coordinates; pad forces on the rail seats.
+    /// New b and u from the rates.
     #[inline(always)]
-    fn advance_sleepers(&self, state: &mut TrackState) {
-        let (stride, n) = (self.model.layout.stride, self.model.basis.len());
-        let basis = &self.model.basis;
-        let (dt, per_theta, shares) = (self.step.dt_s, 1.0 / self.step.theta, self.step.shares());
-        let (kp, cp, gp) = (self.model.pad.stiffness, self.model.pad.damping, self.effective.pad);
-        let TrackState { rail, sleeper, correction, .. } = state;
-        for at in (0..stride).step_by(CHUNK) {
-            // Rate of pad compression.
-            let mut pad = [*lanes(&rail.v, at), *lanes(&rail.v, stride + at)];
-            for i in 0..n {
-                let v = lanes(&sleeper.v, i * stride + at);
-                for (p, shape) in pad.iter_mut().zip(&basis.seat) {
-                    for l in 0..CHUNK {
-                        p[l] -= shape[i] * v[l];
-                    }
-                }
-            }
-            for (side, p) in pad.iter().enumerate() {
-                let place = side * stride + at;
-                let (mut b, mut r) = (*lanes(&rail.b, place), *lanes(&rail.r, place));
-                for l in 0..CHUNK {
-                    b[l] -= (r[l] + cp * p[l]) * per_theta + 2.0 * dt * kp * p[l];
-                    // The elastic force of the beam itself is added with the elements, after this r was used.
-                    r[l] += dt * kp * p[l];
-                }
-                (*lanes_mut(&mut rail.b, place), *lanes_mut(&mut rail.r, place)) = (b, r);
-            }
-            let (k, c, bed) = (
-                *lanes(&self.bed_stiffness, at),
-                *lanes(&self.bed_damping, at),
-                *lanes(&self.bed_inverse, at),
-            );
-            for i in 0..n {
-                let elastic = basis.elastic[i];
-                let inertia = shares.mass + (basis.damping_s + shares.stiffness) * elastic;
-                let place = i * stride + at;
-                // Copies, because the compiler cannot know that the lists do not overlap.
-                let (v, f) = (*lanes(&sleeper.v, place), *lanes(correction, place));
-                let (mut b, mut r) = (*lanes(&sleeper.b, place), *lanes(&sleeper.r, place));
-                let mut u = *lanes(&sleeper.u, place);
-                for l in 0..CHUNK {
-                    let through_pads = basis.seat[0][i] * pad[0][l] + basis.seat[1][i] * pad[1][l];
-                    // From the equation itself: what is neither inertia nor elastic is the bed's share.
-                    let deflection = (f[l] + b[l] + gp * through_pads - inertia * v[l]) * bed[l];
-                    let stiff = elastic * v[l] + k[l] * deflection - kp * through_pads;
-                    let damp = basis.damping_s * elastic * v[l] + c[l] * deflection - cp * through_pads;
-                    b[l] += (f[l] - r[l] - damp) * per_theta - 2.0 * dt * stiff;
-                    r[l] += dt * stiff;
-                    u[l] += dt * v[l];
-                }
-                (*lanes_mut(&mut sleeper.b, place), *lanes_mut(&mut sleeper.r, place)) = (b, r);
-                *lanes_mut(&mut sleeper.u, place) = u;
-            }
+    fn advance<S: pulp::Simd>(&self, simd: S, TrackState { rail, sleeper, .. }: &mut TrackState) {
+        let (step, stride) = ((self.step.dt_s, self.step.theta), self.model.layout.stride);
+        self.sleepers.advance(simd, sleeper, &rail.u, step);
+        for side in 0..2 {
+            let seats = &mut rail.b[side * stride..(side + 1) * stride];
+            self.sleepers.advance_seats(simd, sleeper, (side, seats));
         }
-    }
-
-    /// Rails: elastic force of the elements, then r, b, u. Pads have already used up the old r of the seats.
-    #[inline(always)]
-    fn advance_rails(&self, state: &mut TrackState) {
-        let layout = self.model.layout;
-        let (dt, theta, row) = (self.step.dt_s, self.step.theta, layout.row);
-        let damping = self.model.rail_damping_s;
-        let TrackState { rail, work, .. } = state;
-        work.fill(0.0);
-        self.elements.apply(&rail.v, work, layout.nodes_per_bay, (layout.lanes(), row));
-        for index in 0..layout.rows() {
-            // Row 0 holds the seats' deflections, whose r went into b with the pads.
-            let old = if index == 0 { 0.0 } else { 1.0 / theta };
-            for at in (index * row..index * row + layout.lanes()).step_by(CHUNK) {
-                let (k, v) = (*lanes(work, at), *lanes(&rail.v, at));
-                let (mut b, mut r, mut u) = (*lanes(&rail.b, at), *lanes(&rail.r, at), *lanes(&rail.u, at));
-                for l in 0..CHUNK {
-                    b[l] -= old * r[l] + (damping / theta + 2.0 * dt) * k[l];
-                    r[l] += dt * k[l];
-                    u[l] += dt * v[l];
-                }
-                (*lanes_mut(&mut rail.b, at), *lanes_mut(&mut rail.r, at)) = (b, r);
-                *lanes_mut(&mut rail.u, at) = u;
-            }
-        }
-    }
-
-    /// Forces of the nonlinear beds at t + θ dt, with the rate extrapolated from the last two steps.
-    fn correct_beds(&self, state: &mut TrackState) {
-        let (stride, basis) = (self.model.layout.stride, &self.model.basis);
-        let n = basis.len();
-        let ahead = self.step.theta * self.step.dt_s;
-        let TrackState { sleeper, earlier, correction, .. } = state;
-        for &s in &self.nonlinear {
-            let support = &self.model.supports[s];
-            for i in 0..n {
-                correction[i * stride + s] = 0.0;
-            }
-            for (point, length) in basis.tributary_m.iter().enumerate() {
-                let (mut w, mut rate) = (0.0, 0.0);
-                for i in 0..n {
-                    let shape = basis.points[(point, i)];
-                    let at = i * stride + s;
-                    rate += shape * (2.0 * sleeper.v[at] - earlier[at]);
-                    w += shape * sleeper.u[at];
-                }
-                let force = length * support.correction(w + ahead * rate, rate);
-                for i in 0..n {
-                    correction[i * stride + s] += basis.points[(point, i)] * force;
-                }
-            }
-            for i in 0..n {
-                earlier[i * stride + s] = sleeper.v[i * stride + s];
-            }
-        }
+        self.rails.advance(simd, rail, step);
     }
 
     /// Displacement of a rail point, m.
@@ -347,8 +202,9 @@ impl Stepper {
 
     /// Displacement of the sleeper at the sensor, m.
     pub fn sensor_m(&self, state: &TrackState) -> f64 {
-        let (stride, s) = (self.model.layout.stride, self.model.sensor_sleeper);
-        self.model.basis.sensor.iter().enumerate().map(|(i, w)| w * state.sleeper.u[i * stride + s]).sum()
+        let (sensor, s) = (&self.sleepers.sensor, self.model.sensor_sleeper);
+        let of = s / CHUNK * sensor.len()..(s / CHUNK + 1) * sensor.len();
+        sensor.iter().zip(&state.sleeper.u[of]).map(|(w, u)| w * u[s % CHUNK]).sum()
     }
 
     /// Largest deflection of the rail seats, m; NaN when anything is.
@@ -361,21 +217,19 @@ impl Stepper {
     }
 }
 
-/// First half of a step, compiled for the widest vectors of the machine. Only the width differs: no operation is fused
-/// or reordered, so that every machine gives the same bits.
+/// First half of a step, compiled for the widest vectors of the machine.
 struct Begin<'a>(&'a Stepper, &'a mut TrackState);
 
 impl pulp::WithSimd for Begin<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn with_simd<S: pulp::Simd>(self, _simd: S) {
-        let Self(stepper, TrackState { rail, sleeper, correction, work, load, .. }) = self;
+    fn with_simd<S: pulp::Simd>(self, simd: S) {
+        let Self(stepper, TrackState { rail, sleeper, work, .. }) = self;
+        let ahead_s = stepper.step.theta * stepper.step.dt_s;
+        stepper.beds.apply(simd, &stepper.sleepers, sleeper, ahead_s);
         work.copy_from_slice(&rail.b);
-        for ((total, b), c) in load.iter_mut().zip(&sleeper.b).zip(correction.iter()) {
-            *total = b + c;
-        }
-        stepper.effective.condense(load, &mut sleeper.v, work);
+        stepper.sleepers.condense(simd, sleeper, work);
     }
 }
 
@@ -386,72 +240,41 @@ impl pulp::WithSimd for Finish<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn with_simd<S: pulp::Simd>(self, _simd: S) {
+    fn with_simd<S: pulp::Simd>(self, simd: S) {
         let Self(stepper, state) = self;
-        stepper.effective.solve_rails(&mut state.work, &mut state.seats);
-        std::mem::swap(&mut state.rail.v, &mut state.work);
-        stepper.effective.recover_sleepers(&state.rail.v, &mut state.sleeper.v);
-        stepper.advance_sleepers(state);
-        stepper.advance_rails(state);
+        let TrackState { rail, sleeper, work, seats } = &mut *state;
+        stepper.effective.solve_rails(simd, work, &mut rail.v, seats);
+        stepper.sleepers.compress(simd, sleeper, &rail.v);
+        stepper.sleepers.rates(simd, sleeper);
+        stepper.advance(simd, state);
     }
 }
 
-impl Elements {
-    fn new(model: &TrackModel) -> Self {
-        let layout = model.layout;
-        let len = layout.nodes_per_bay * layout.row;
-        let (mut shear, mut bending) = (vec![0.0; len], vec![0.0; len]);
-        for side in 0..2 {
-            for bay in 0..layout.sleepers - 1 {
-                for e in 0..layout.nodes_per_bay {
-                    let Some(section) = model.section(side, bay, e) else { continue };
-                    let (at, l) = (e * layout.row + side * layout.stride + bay, model.step_m);
-                    let phi = crate::beam::shear_ratio(section, l);
-                    shear[at] = 12.0 * section.bending_n_m2 / ((1.0 + phi) * l * l * l);
-                    bending[at] = section.bending_n_m2 / l;
-                }
-            }
-        }
-        Self { shear, bending, half_length_m: 0.5 * model.step_m }
-    }
+/// Static solution: loads in `work`, rail displacement to u, sleeper displacement to `still.v`.
+struct Settle<'a> {
+    sleepers: &'a Sleepers,
+    effective: &'a Effective,
+    state: &'a mut TrackState,
+    still: &'a mut SleeperState,
+}
 
-    /// out += K v: each element's shear force and bending moment from its deformation.
+impl pulp::WithSimd for Settle<'_> {
+    type Output = ();
+
     #[inline(always)]
-    fn apply(&self, v: &[f64], out: &mut [f64], nodes: usize, (used, row): (usize, usize)) {
-        let h = self.half_length_m;
-        for e in 0..nodes {
-            // The node behind the last one of a bay is the seat of the next sleeper.
-            let (next, shift) = if e + 1 < nodes { (2 * (e + 1), 0) } else { (0, 1) };
-            for at in (0..used).step_by(CHUNK) {
-                let (w1, t1) = (*lanes(v, 2 * e * row + at), *lanes(v, (2 * e + 1) * row + at));
-                let (w2, t2) = (*lanes(v, next * row + at + shift), *lanes(v, (next + 1) * row + at + shift));
-                let (ks, kb) = (lanes(&self.shear, e * row + at), lanes(&self.bending, e * row + at));
-                let (mut force, mut left, mut right) = ([0.0; CHUNK], [0.0; CHUNK], [0.0; CHUNK]);
-                for l in 0..CHUNK {
-                    let shear = ks[l] * (w2[l] - w1[l] - h * (t1[l] + t2[l]));
-                    let moment = kb[l] * (t2[l] - t1[l]);
-                    force[l] = shear;
-                    left[l] = -h * shear - moment;
-                    right[l] = -h * shear + moment;
-                }
-                add(lanes_mut(out, 2 * e * row + at), &force, -1.0);
-                add(lanes_mut(out, (2 * e + 1) * row + at), &left, 1.0);
-                add(lanes_mut(out, next * row + at + shift), &force, 1.0);
-                add(lanes_mut(out, (next + 1) * row + at + shift), &right, 1.0);
-            }
-        }
-    }
-}
-
-#[inline(always)]
-fn add(target: &mut [f64; CHUNK], values: &[f64; CHUNK], sign: f64) {
-    for (t, v) in target.iter_mut().zip(values) {
-        *t += sign * v;
+    fn with_simd<S: pulp::Simd>(self, simd: S) {
+        let TrackState { rail, work, seats, .. } = self.state;
+        self.sleepers.condense(simd, self.still, work);
+        self.effective.solve_rails(simd, work, &mut rail.u, seats);
+        self.sleepers.compress(simd, self.still, &rail.u);
+        self.sleepers.rates(simd, self.still);
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::Support;
+    use super::super::model::Lanes;
     use super::*;
     use crate::recording::read_site;
     use crate::track::{Kelvin, Mesh, Side, Track};
@@ -560,23 +383,32 @@ mod tests {
         let point = stepper.model.point(Side::Stock, 0.47).unwrap();
         let mut state = stepper.at_rest();
         let ahead = stepper.step.theta * stepper.step.dt_s;
-        let momentum = |m: &Motion| m.b.iter().zip(&m.r).map(|(b, r)| (b + r) * ahead).collect::<Vec<f64>>();
+        let join = |rail: &[f64], sleeper: &[Lanes]| [rail, sleeper.as_flattened()].concat();
+        // Elastic forces: what the momentum term loses without any rate.
+        let elastic = |s: &TrackState| {
+            let mut still = stepper.at_rest();
+            (still.rail.u, still.sleeper.u) = (s.rail.u.clone(), s.sleeper.u.clone());
+            stepper.advance(pulp::Scalar::new(), &mut still);
+            let lost = join(&still.rail.b, &still.sleeper.b);
+            lost.iter().map(|b| -stepper.step.theta * b).collect::<Vec<f64>>()
+        };
+        let momentum = |s: &TrackState| {
+            let b = join(&s.rail.b, &s.sleeper.b);
+            b.iter().zip(elastic(s)).map(|(b, r)| (b + r) * ahead).collect::<Vec<f64>>()
+        };
         let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(x, y)| x * y).sum::<f64>();
         let (mut kinetic, mut work) = (0.0, 0.0);
         for n in 0..2000 {
-            let before = [momentum(&state.rail), momentum(&state.sleeper)];
+            let before = momentum(&state);
             let at = stepper.rail_m(&state, &point);
             let force = if n < 300 { 1e5 * (f64::from(n) / 50.0).sin() } else { 0.0 };
             stepper.begin(&mut state);
             stepper.load(&mut state, &point, force);
             stepper.finish(&mut state);
             work += force * (stepper.rail_m(&state, &point) - at);
-            for (p, m) in before.iter().zip([&state.rail, &state.sleeper]) {
-                let change: Vec<f64> = momentum(m).iter().zip(p).map(|(a, b)| a - b).collect();
-                kinetic += dot(&change, &m.v);
-            }
-            let potential =
-                0.5 * (dot(&state.rail.u, &state.rail.r) + dot(&state.sleeper.u, &state.sleeper.r));
+            let change: Vec<f64> = momentum(&state).iter().zip(&before).map(|(a, b)| a - b).collect();
+            kinetic += dot(&change, &join(&state.rail.v, &state.sleeper.v));
+            let potential = 0.5 * dot(&join(&state.rail.u, &state.sleeper.u), &elastic(&state));
             assert!(
                 (kinetic + potential - work).abs() < 1e-7 * work.abs().max(1.0),
                 "{n}: {kinetic} {potential} {work}"
@@ -622,7 +454,8 @@ mod tests {
         for n in 0..200 {
             stepper.begin(&mut state);
             let force = 1e4 * (1.0 + f64::from(n).sin());
-            let expected = points.map(|p| stepper.free_rate(&state, &p) + force * stepper.compliance(&p));
+            let expected = points
+                .map(|p| stepper.free_rate(pulp::Scalar::new(), &state, &p) + force * stepper.compliance(&p));
             let before = points.map(|p| stepper.rail_m(&state, &p));
             for point in &points {
                 stepper.load(&mut state, point, force);

@@ -55,8 +55,9 @@ impl Support {
         }
     }
 
-    /// Force per metre on the sleeper beyond [`Support::implicit`], positive downwards, N/m.
-    pub(super) fn correction(&self, w_m: f64, rate_m_s: f64) -> f64 {
+    /// Force per metre on the sleeper beyond what the constant matrices hold (all of a bed that opens, the first stiffness of
+    /// one that stiffens), positive downwards, N/m.
+    pub fn correction(&self, w_m: f64, rate_m_s: f64) -> f64 {
         let k = self.stiffness_n_m2;
         match self.law {
             SupportLaw::Linear => 0.0,

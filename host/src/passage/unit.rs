@@ -220,6 +220,8 @@ pub(super) struct UnitStepper {
     inverse: Matrix,
     /// Contact displacement rate per contact force, both ways.
     pub compliance: [[f64; CONTACTS]; CONTACTS],
+    /// The same without a contact's own.
+    pub others: [[f64; CONTACTS]; CONTACTS],
     step: TimeStep,
 }
 
@@ -247,7 +249,9 @@ impl UnitStepper {
                 compliance[i][j] = a.dot(&(inverse * b));
             }
         }
-        Ok(Self { unit: unit.clone(), inverse, compliance, step })
+        let mut others = compliance;
+        (0..CONTACTS).for_each(|i| others[i][i] = 0.0);
+        Ok(Self { unit: unit.clone(), inverse, compliance, others, step })
     }
 
     /// At rest with the wheelsets at given contact heights (m, positive down) and the frame following them.

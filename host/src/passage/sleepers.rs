@@ -1,0 +1,352 @@
+//! Sleepers of the whole track in one time step, in coordinates that diagonalise their effective matrices.
+//!
+//! The sleepers are alike but for the ballast k of each. In the coordinates y of this module the effective matrix of the
+//! sleeper alone is I and that of the bed is diag β, so that on any ballast it is D = diag(1 + g β), with g the effective
+//! stiffness of the bed. With the pads' effective stiffness G, seat shapes Φ and rail motion w:
+//!   D v = f + G Φ p,   p = w − Φᵀ v = S (w − Φᵀ D⁻¹ f),   S = (I + G Φᵀ D⁻¹ Φ)⁻¹,
+//! and the rails feel G S w − G S Φᵀ D⁻¹ f: two numbers per sleeper, whatever the number of its coordinates.
+
+use aligned_vec::avec;
+use nalgebra::{DMatrix, DVector, Matrix2, SymmetricEigen};
+use pulp::Simd;
+
+use super::basis::SleeperBasis;
+use super::effective::Shares;
+use super::error::SimulationError;
+use super::model::{CHUNK, Lanes, TrackModel};
+use super::vectors::{Aligned, of_chunks, of_chunks_mut, parts, vectors, vectors_mut};
+
+/// All sleepers; values per sleeper and coordinate are at `[sleeper / 8 · coordinates + coordinate][sleeper % 8]`.
+#[derive(Clone, Debug)]
+pub(super) struct Sleepers {
+    /// Number of coordinates.
+    pub coordinates: usize,
+    /// Deflection at the sensor per coordinate.
+    pub sensor: Vec<f64>,
+    /// Deflection of each support point per coordinate.
+    pub points: Vec<Vec<f64>>,
+    seat: Vec<[f64; 2]>,
+    /// Elastic stiffness, `[i · n + j]`.
+    elastic: Vec<f64>,
+    elastic_damping_s: f64,
+    /// β.
+    bed: Vec<f64>,
+    pad: Pad,
+    /// Effective ballast g, stiffness k, damping c per chunk.
+    ballast: Aligned<Ballast>,
+    /// D⁻¹.
+    inverse: Aligned<Lanes>,
+    /// S₀₀, S₀₁, S₁₁ per chunk.
+    through: Aligned<[Lanes; 3]>,
+    /// Coordinates of the model per coordinate of this module.
+    transform: DMatrix<f64>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Pad {
+    effective: f64,
+    stiffness: f64,
+    damping: f64,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Ballast {
+    stiffness: Lanes,
+    damping: Lanes,
+}
+
+/// Motion of the sleepers: displacement u, rate v at t + θ dt, momentum term b.
+#[derive(Clone, Debug)]
+pub(super) struct SleeperState {
+    pub u: Aligned<Lanes>,
+    pub v: Aligned<Lanes>,
+    pub b: Aligned<Lanes>,
+    /// Forces of the nonlinear beds.
+    pub correction: Aligned<Lanes>,
+    /// Rates one step earlier.
+    pub earlier: Aligned<Lanes>,
+    /// Of both pads, `[chunk · 2 + side]`: motion of the seat without the rails, then rate of compression, then force.
+    pads: Aligned<Lanes>,
+    /// Deformation that one chunk advances with.
+    deformation: Aligned<Lanes>,
+}
+
+impl Sleepers {
+    pub fn new(model: &TrackModel, shares: Shares) -> Result<Self, SimulationError> {
+        let (basis, layout) = (&model.basis, model.layout);
+        let on_bed = |s: usize| {
+            let (k, c) = model.supports[s].implicit();
+            shares.mass * model.supports[s].mass_kg_m + shares.damping * c + shares.stiffness * k
+        };
+        let mean = (0..layout.sleepers).map(on_bed).sum::<f64>() / layout.sleepers as f64;
+        // Without inertia the sleeper alone moves freely: the mean bed is counted with it.
+        let shift = if shares.mass > 0.0 { 0.0 } else { mean };
+        let (transform, beta) = diagonalise(basis, shares, shift)?;
+        let shaped = |row: &[f64]| transform.tr_mul(&DVector::from_column_slice(row));
+        let (n, chunks) = (basis.len(), layout.stride / CHUNK);
+        let seats = [0, 1].map(|side: usize| shaped(&basis.seat[side]));
+        let elastic = DMatrix::from_diagonal(&DVector::from_column_slice(&basis.elastic));
+        let elastic = transform.tr_mul(&elastic) * &transform;
+        let mut sleepers = Self {
+            coordinates: n,
+            sensor: shaped(&basis.sensor).as_slice().to_vec(),
+            points: (&basis.points * &transform)
+                .row_iter()
+                .map(|row| row.iter().copied().collect())
+                .collect(),
+            seat: (0..n).map(|i| [seats[0][i], seats[1][i]]).collect(),
+            elastic: elastic.transpose().as_slice().to_vec(),
+            elastic_damping_s: basis.damping_s,
+            pad: Pad {
+                effective: shares.damping * model.pad.damping + shares.stiffness * model.pad.stiffness,
+                stiffness: model.pad.stiffness,
+                damping: model.pad.damping,
+            },
+            ballast: avec![Ballast { stiffness: [0.0; CHUNK], damping: [0.0; CHUNK] }; chunks],
+            inverse: avec![[0.0; CHUNK]; n * chunks],
+            through: avec![[[0.0; CHUNK]; 3]; chunks],
+            bed: beta.as_slice().to_vec(),
+            transform,
+        };
+        for s in 0..layout.sleepers {
+            sleepers.set(s, on_bed(s) - shift, model.supports[s].implicit())?;
+        }
+        Ok(sleepers)
+    }
+
+    /// D⁻¹ and S of one sleeper.
+    fn set(&mut self, sleeper: usize, g: f64, (k, c): (f64, f64)) -> Result<(), SimulationError> {
+        let (chunk, lane, n) = (sleeper / CHUNK, sleeper % CHUNK, self.coordinates);
+        (self.ballast[chunk].stiffness[lane], self.ballast[chunk].damping[lane]) = (k, c);
+        let singular =
+            || SimulationError::Singular { what: "effective", place: format!("sleeper {sleeper}") };
+        let mut seats = Matrix2::identity();
+        for i in 0..n {
+            let diagonal = 1.0 + g * self.bed[i];
+            if diagonal.is_nan() || diagonal <= 0.0 {
+                return Err(singular());
+            }
+            self.inverse[chunk * n + i][lane] = 1.0 / diagonal;
+            for a in 0..2 {
+                for b in 0..2 {
+                    seats[(a, b)] += self.pad.effective * self.seat[i][a] * self.seat[i][b] / diagonal;
+                }
+            }
+        }
+        let through = seats.try_inverse().ok_or_else(singular)?;
+        let entries = [through[(0, 0)], 0.5 * (through[(0, 1)] + through[(1, 0)]), through[(1, 1)]];
+        for (target, value) in self.through[chunk].iter_mut().zip(entries) {
+            target[lane] = value;
+        }
+        Ok(())
+    }
+
+    /// Effective stiffness of the two rail seats of a sleeper: own, between them, own.
+    pub fn seat_stiffness(&self, sleeper: usize) -> [f64; 3] {
+        self.through[sleeper / CHUNK].map(|t| self.pad.effective * t[sleeper % CHUNK])
+    }
+
+    pub fn at_rest(&self) -> SleeperState {
+        let zero = || avec![[0.0; CHUNK]; self.inverse.len()];
+        let pads = avec![[0.0; CHUNK]; 2 * self.through.len()];
+        let deformation = avec![[0.0; CHUNK]; self.coordinates];
+        SleeperState {
+            u: zero(),
+            v: zero(),
+            b: zero(),
+            correction: zero(),
+            earlier: zero(),
+            pads,
+            deformation,
+        }
+    }
+
+    /// Motion of the seats under the sleepers' own forces, and its action on the rail seats, added to `rails`.
+    #[inline(always)]
+    pub fn condense<S: Simd>(&self, simd: S, state: &mut SleeperState, rails: &mut [f64]) {
+        let (n, p, stride) = (self.coordinates, parts::<S>(), self.through.len() * CHUNK);
+        let (crossing, stock) = rails[..2 * stride].split_at_mut(stride);
+        let (crossing, stock) = (vectors_mut::<S>(crossing), vectors_mut::<S>(stock));
+        let (b, f) = (of_chunks::<S>(&state.b), of_chunks::<S>(&state.correction));
+        let (inverse, pads) = (of_chunks::<S>(&self.inverse), of_chunks_mut::<S>(&mut state.pads));
+        let through = of_chunks::<S>(self.through.as_flattened());
+        let pad = simd.splat_f64s(self.pad.effective);
+        for chunk in 0..self.through.len() {
+            for part in 0..p {
+                let (mut t0, mut t1) = (simd.splat_f64s(0.0), simd.splat_f64s(0.0));
+                let of = chunk * n * p..(chunk + 1) * n * p;
+                let (b, f, inverse) = (&b[of.clone()], &f[of.clone()], &inverse[of]);
+                for (i, seat) in self.seat.iter().enumerate() {
+                    let at = i * p + part;
+                    let motion = simd.mul_f64s(inverse[at], simd.add_f64s(b[at], f[at]));
+                    t0 = simd.mul_add_f64s(simd.splat_f64s(seat[0]), motion, t0);
+                    t1 = simd.mul_add_f64s(simd.splat_f64s(seat[1]), motion, t1);
+                }
+                let (at, of) = (chunk * p + part, chunk * 3 * p + part);
+                (pads[chunk * 2 * p + part], pads[(chunk * 2 + 1) * p + part]) = (t0, t1);
+                let (t0, t1) = (simd.mul_f64s(pad, t0), simd.mul_f64s(pad, t1));
+                let [s00, s01, s11] = [through[of], through[of + p], through[of + 2 * p]];
+                crossing[at] = simd.mul_add_f64s(s00, t0, simd.mul_add_f64s(s01, t1, crossing[at]));
+                stock[at] = simd.mul_add_f64s(s01, t0, simd.mul_add_f64s(s11, t1, stock[at]));
+            }
+        }
+    }
+
+    /// Rate of pad compression of both sides, in place of the free motion of the seats.
+    #[inline(always)]
+    pub fn compress<S: Simd>(&self, simd: S, state: &mut SleeperState, rails: &[f64]) {
+        let (p, stride) = (parts::<S>(), self.through.len() * CHUNK);
+        let (crossing, stock) = rails[..2 * stride].split_at(stride);
+        let (crossing, stock) = (vectors::<S>(crossing), vectors::<S>(stock));
+        let pads = of_chunks_mut::<S>(&mut state.pads);
+        let through = of_chunks::<S>(self.through.as_flattened());
+        for chunk in 0..self.through.len() {
+            for part in 0..p {
+                let (first, second) = (chunk * 2 * p + part, (chunk * 2 + 1) * p + part);
+                let d0 = simd.sub_f64s(crossing[chunk * p + part], pads[first]);
+                let d1 = simd.sub_f64s(stock[chunk * p + part], pads[second]);
+                let of = chunk * 3 * p + part;
+                let [s00, s01, s11] = [through[of], through[of + p], through[of + 2 * p]];
+                pads[first] = simd.mul_add_f64s(s00, d0, simd.mul_f64s(s01, d1));
+                pads[second] = simd.mul_add_f64s(s01, d0, simd.mul_f64s(s11, d1));
+            }
+        }
+    }
+
+    /// Rates v of the sleepers; after [`Sleepers::compress`].
+    #[inline(always)]
+    pub fn rates<S: Simd>(&self, simd: S, state: &mut SleeperState) {
+        let (n, p) = (self.coordinates, parts::<S>());
+        let (b, f) = (of_chunks::<S>(&state.b), of_chunks::<S>(&state.correction));
+        let (inverse, pad) = (of_chunks::<S>(&self.inverse), of_chunks::<S>(&state.pads));
+        let v = of_chunks_mut::<S>(&mut state.v);
+        for chunk in 0..self.through.len() {
+            for part in 0..p {
+                let effective = simd.splat_f64s(self.pad.effective);
+                let p0 = simd.mul_f64s(effective, pad[chunk * 2 * p + part]);
+                let p1 = simd.mul_f64s(effective, pad[(chunk * 2 + 1) * p + part]);
+                let of = chunk * n * p..(chunk + 1) * n * p;
+                let (b, f, inverse) = (&b[of.clone()], &f[of.clone()], &inverse[of.clone()]);
+                let v = &mut v[of];
+                for (i, seat) in self.seat.iter().enumerate() {
+                    let at = i * p + part;
+                    let mut sum = simd.add_f64s(b[at], f[at]);
+                    sum = simd.mul_add_f64s(simd.splat_f64s(seat[0]), p0, sum);
+                    sum = simd.mul_add_f64s(simd.splat_f64s(seat[1]), p1, sum);
+                    v[at] = simd.mul_f64s(inverse[at], sum);
+                }
+            }
+        }
+    }
+
+    /// New b and u of the sleepers, and forces of the pads on their way into b; `rails`: old displacement.
+    ///
+    /// With K = E + k B − pads: b ← b + f/θ − K (u/θ + 2 dt v) − C v/θ.
+    #[inline(always)]
+    pub fn advance<S: Simd>(
+        &self,
+        simd: S,
+        state: &mut SleeperState,
+        rails: &[f64],
+        (dt_s, theta): (f64, f64),
+    ) {
+        let (n, p, stride) = (self.coordinates, parts::<S>(), self.through.len() * CHUNK);
+        let (crossing, stock) = rails[..2 * stride].split_at(stride);
+        let (crossing, stock) = (vectors::<S>(crossing), vectors::<S>(stock));
+        let SleeperState { u, v, b, correction, pads, deformation, .. } = state;
+        let (v, f) = (of_chunks::<S>(v), of_chunks::<S>(correction));
+        let [u, b, pads, deformation] = [u, b, pads, deformation].map(|row| of_chunks_mut::<S>(row));
+        let splat = |value: f64| simd.splat_f64s(value);
+        let (dt, per_theta) = (splat(dt_s), splat(1.0 / theta));
+        let elastic_rate = splat(self.elastic_damping_s / theta + 2.0 * dt_s);
+        let pad_stiffness = splat(self.pad.stiffness / theta);
+        let pad_rate = splat(2.0 * dt_s * self.pad.stiffness + self.pad.damping / theta);
+        for (chunk, ballast) in self.ballast.iter().enumerate() {
+            let (k, c) = (vectors::<S>(&ballast.stiffness), vectors::<S>(&ballast.damping));
+            let of = chunk * n * p..(chunk + 1) * n * p;
+            let (v, f, u, b) = (&v[of.clone()], &f[of.clone()], &mut u[of.clone()], &mut b[of]);
+            let pads = &mut pads[chunk * 2 * p..(chunk + 1) * 2 * p];
+            for part in 0..p {
+                let (mut seat0, mut seat1) = (crossing[chunk * p + part], stock[chunk * p + part]);
+                for (i, seat) in self.seat.iter().enumerate() {
+                    let at = i * p + part;
+                    seat0 = simd.mul_add_f64s(splat(-seat[0]), u[at], seat0);
+                    seat1 = simd.mul_add_f64s(splat(-seat[1]), u[at], seat1);
+                    deformation[at] = simd.mul_add_f64s(elastic_rate, v[at], simd.mul_f64s(per_theta, u[at]));
+                }
+                let pad0 = simd.mul_add_f64s(pad_stiffness, seat0, simd.mul_f64s(pad_rate, pads[part]));
+                let pad1 = simd.mul_add_f64s(pad_stiffness, seat1, simd.mul_f64s(pad_rate, pads[p + part]));
+                (pads[part], pads[p + part]) = (pad0, pad1);
+                let bed_stiffness = simd.mul_f64s(per_theta, k[part]);
+                let bed_rate =
+                    simd.mul_add_f64s(splat(2.0 * dt_s), k[part], simd.mul_f64s(per_theta, c[part]));
+                for i in 0..n {
+                    let at = i * p + part;
+                    let mut elastic = simd.mul_f64s(splat(self.elastic[i * n]), deformation[part]);
+                    for (j, e) in self.elastic[i * n..(i + 1) * n].iter().enumerate().skip(1) {
+                        elastic = simd.mul_add_f64s(splat(*e), deformation[j * p + part], elastic);
+                    }
+                    let bed = simd.mul_add_f64s(bed_stiffness, u[at], simd.mul_f64s(bed_rate, v[at]));
+                    let inner = simd.mul_add_f64s(splat(self.bed[i]), bed, elastic);
+                    let [first, second] = self.seat[i].map(splat);
+                    let outer = simd.mul_add_f64s(first, pad0, simd.mul_f64s(second, pad1));
+                    let outer = simd.mul_add_f64s(per_theta, f[at], outer);
+                    b[at] = simd.add_f64s(b[at], simd.sub_f64s(outer, inner));
+                    u[at] = simd.mul_add_f64s(dt, v[at], u[at]);
+                }
+            }
+        }
+    }
+
+    /// Pad forces on one row of rail seats.
+    #[inline(always)]
+    pub fn advance_seats<S: Simd>(&self, simd: S, state: &SleeperState, (side, b): (usize, &mut [f64])) {
+        let p = parts::<S>();
+        let (pads, b) = (of_chunks::<S>(&state.pads), vectors_mut::<S>(b));
+        for chunk in 0..self.through.len() {
+            for part in 0..p {
+                let at = chunk * p + part;
+                b[at] = simd.sub_f64s(b[at], pads[(chunk * 2 + side) * p + part]);
+            }
+        }
+    }
+
+    /// The same motion in the coordinates of `other`, of the same model.
+    pub fn convert(&self, values: &[Lanes], other: &Self) -> Result<Aligned<Lanes>, SimulationError> {
+        let singular = || SimulationError::Singular { what: "mass", place: "the sleeper".into() };
+        let n = self.coordinates;
+        let change = other.transform.clone().lu().solve(&self.transform).ok_or_else(singular)?;
+        let mut converted = avec![[0.0; CHUNK]; values.len()];
+        for (target, source) in converted.chunks_exact_mut(n).zip(values.chunks_exact(n)) {
+            for i in 0..n {
+                for (j, value) in source.iter().enumerate() {
+                    for l in 0..CHUNK {
+                        target[i][l] += change[(i, j)] * value[l];
+                    }
+                }
+            }
+        }
+        Ok(converted)
+    }
+}
+
+/// T with Tᵀ P T = I and Tᵀ B T = diag β, P the effective matrix of a sleeper without pads on a bed of effective stiffness
+/// `shift`, B the bed.
+fn diagonalise(
+    basis: &SleeperBasis,
+    shares: Shares,
+    shift: f64,
+) -> Result<(DMatrix<f64>, DVector<f64>), SimulationError> {
+    let elastic = shares.damping * basis.damping_s + shares.stiffness;
+    let mut alone = &basis.bed * shift;
+    for (i, e) in basis.elastic.iter().enumerate() {
+        alone[(i, i)] += shares.mass + elastic * e;
+    }
+    let singular = || SimulationError::Singular { what: "effective", place: "a sleeper".into() };
+    let lower = alone.cholesky().ok_or_else(singular)?.l();
+    let half = lower.solve_lower_triangular(&basis.bed).ok_or_else(singular)?;
+    let reduced = lower.solve_lower_triangular(&half.transpose()).ok_or_else(singular)?;
+    let eigen = SymmetricEigen::new((&reduced + reduced.transpose()) * 0.5);
+    let transform = lower.transpose().solve_upper_triangular(&eigen.eigenvectors).ok_or_else(singular)?;
+    Ok((transform, eigen.eigenvalues.map(|b| b.max(0.0))))
+}

@@ -3,8 +3,9 @@
 mod tolerance;
 
 use cpcm::greens::{Chain, GreensFunctions, Quantity};
-use cpcm::interaction::Interaction;
-use cpcm::inverse::{CommonProfile, Estimator, GroupGeometry, InverseError, Prior, ProfileGrids};
+use cpcm::inverse::{
+    CommonProfile, Estimator, Excitation, GroupGeometry, InverseError, Prior, ProfileGrids, Running, TrackModel,
+};
 use cpcm::recording::read_site;
 use cpcm::track::{Mesh, Track};
 use cpcm_tests::sample::field;
@@ -12,7 +13,6 @@ use cpcm_tests::sample::field;
 /// Model of one bogie on `reference-1` at its nominal ballast.
 struct Bogie {
     greens: GreensFunctions,
-    interaction: Interaction,
 }
 
 impl Bogie {
@@ -24,24 +24,24 @@ impl Bogie {
         let greens =
             GreensFunctions::try_new(&track, &ballast, sampling, Quantity::Acceleration, &Chain::Corrected)
                 .unwrap();
-        let half_m = Prior::starting(1.0).half_m;
-        let interaction = Interaction::new(&track, &ballast, &site.crossing.vehicle, half_m, sampling);
-        Self { greens, interaction }
+        Self { greens }
     }
 
     fn estimator(&self, prior: &Prior, speed_m_s: f64) -> Result<Estimator, InverseError> {
         let offsets = [0.0, 2.9];
         let geometry = GroupGeometry {
-            direction: 1.0,
-            speed_m_s,
+            running: Running { direction: 1.0, speed_m_s, static_force_n: 76e3 },
             axle_offset_m: &offsets,
             train_offset_m: &offsets,
-            static_force_n: 76e3,
-            mean_force: None,
         };
-        let smooth = CommonProfile::zero(ProfileGrids::new(prior.half_m, 0.1, 0.2));
-        Estimator::new(&self.greens, &geometry, prior, &self.interaction, &smooth)
+        let model = TrackModel { greens: &self.greens, excitation: Excitation::Force };
+        Estimator::new(&model, &geometry, prior, &smooth(prior))
     }
+}
+
+/// No force that the wheels share.
+fn smooth(prior: &Prior) -> CommonProfile {
+    CommonProfile::zero(ProfileGrids::force(prior.half_m, 0.1, 0.2, 45.0))
 }
 
 /// A fixed vector that looks random.
@@ -71,7 +71,7 @@ fn property_evidence_is_the_density_of_the_models_own_covariance() {
 #[test]
 fn property_estimate_is_linear_in_the_window() {
     let estimator = Bogie::new().estimator(&Prior::each_wheel_for_itself(1.0), 45.0).unwrap();
-    for axle in estimator.gains(&GRID_M, LOW_PASS_HZ) {
+    for axle in estimator.gains(&GRID_M, LOW_PASS_HZ, &smooth(&Prior::each_wheel_for_itself(1.0))) {
         let n = estimator.len();
         assert_eq!(axle.apply(&vec![0.0; n]), axle.base_n, "an expected window moves nothing");
         let (a, b) = (noise(n, 0.1), noise(n, 7.7));
@@ -93,7 +93,7 @@ fn property_explained_and_remaining_variance_add_up_to_the_prior() {
         let prior = Prior { noise_m_s2, ..Prior::each_wheel_for_itself(1.0) };
         let estimator = bogie.estimator(&prior, 45.0).unwrap();
         let root = estimator.covariance_root();
-        let axle = estimator.gains(&GRID_M, LOW_PASS_HZ).remove(1);
+        let axle = estimator.gains(&GRID_M, LOW_PASS_HZ, &smooth(&prior)).remove(1);
         let n = estimator.len();
         let explained: Vec<f64> = (0..GRID_M.len())
             .map(|i| {

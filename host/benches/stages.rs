@@ -10,12 +10,11 @@ use std::path::Path;
 use cpcm::ballast::BallastParameters;
 use cpcm::ballast::evidence::EvidenceProblem;
 use cpcm::ballast::quasi_static::QuasiStatic;
-use cpcm::forces::wheel_forces;
+use cpcm::forces::{Spread, wheel_forces};
 use cpcm::greens::moving::{WheelPath, kernel};
 use cpcm::greens::moving_response::RailGreens;
 use cpcm::greens::{Chain, GreensFunctions, GreensSampling, Quantity};
 use cpcm::identify::{IdentifiedSite, identify};
-use cpcm::inverse::Prior;
 use cpcm::inverse::hierarchy::SitePassage;
 use cpcm::irregularity::irregularity;
 use cpcm::progress::Silent;
@@ -46,7 +45,7 @@ fn of_track(group: &mut Stages, site: &Site) {
         b.iter(|| kernel(&greens, Side::Crossing, black_box(&path), 4.0, 512))
     });
     group.bench_function("moving response of the rail, Green's functions", |b| {
-        b.iter(|| RailGreens::new(&track, &bed, Side::Crossing, 4.0, sampling))
+        b.iter(|| RailGreens::of_both_rails(&track, &bed, 4.0, sampling))
     });
 }
 
@@ -75,26 +74,26 @@ fn of_ballast(group: &mut Stages, identified: &IdentifiedSite) {
         track,
         direction: identified.direction,
         pattern,
-        prior: Prior::starting(identified.direction),
         vehicle: &identified.site.crossing.vehicle,
     };
-    group.bench_function("evidence of one ballast, 8 passages", |b| {
-        b.iter(|| problem.posterior(black_box(&identified.ballast.parameters), &passages).unwrap())
+    group.bench_function("one linearisation of the calibration, 8 passages", |b| {
+        b.iter(|| problem.posterior(black_box(&identified.calibration), &passages).unwrap())
     });
 }
 
 /// One passage of the identified site.
 fn of_passage(group: &mut Stages, identified: &IdentifiedSite) {
+    let spread = Spread::new(identified).unwrap();
     group.bench_function("inverse of one passage, 12 wheelsets", |b| {
-        b.iter(|| wheel_forces(identified, black_box(3)).unwrap())
+        b.iter(|| wheel_forces(identified, black_box(3), &spread).unwrap())
     });
     let bed = identified
         .ballast
         .parameters
         .distribution(identified.track.sleeper_x_m.len(), identified.track.sensor_sleeper);
     let half_m = identified.prior.half_m;
-    let rail = RailGreens::new(&identified.track, &bed, Side::Crossing, half_m, identified.greens.sampling);
-    let force = &wheel_forces(identified, 3).unwrap()[0];
+    let rail = RailGreens::of_crossing_rail(&identified.track, &bed, half_m, identified.greens.sampling);
+    let force = &wheel_forces(identified, 3, &spread).unwrap()[0];
     let grid: Vec<f64> = (0..240).map(|i| -0.9 + 0.01 * f64::from(i)).collect();
     let (speed, static_n) = (identified.timings[3].speed_m_s, identified.static_force_n[3]);
     group.bench_function("irregularity under one wheel", |b| {

@@ -67,7 +67,8 @@ fn positions_m(site: &IdentifiedSite, index: usize) -> Vec<f64> {
     crate::greens::moving::own_positions(site.direction, speed, site.prior.half_m, rate).1
 }
 
-fn wheel_forces(
+/// Forces of the wheelsets of passage `index`.
+pub fn wheel_forces(
     site: &IdentifiedSite,
     index: usize,
     spread: &Spread,
@@ -75,7 +76,8 @@ fn wheel_forces(
     let position_m = positions_m(site, index);
     let mut forces = Vec::new();
     for (k, kind) in kinds(&site.pattern).iter().enumerate() {
-        let estimator = Estimator::new(&model(site), &geometry(site, kind, index), &site.prior, &site.profile)?;
+        let estimator =
+            Estimator::new(&model(site), &geometry(site, kind, index), &site.prior, &site.profile)?;
         for group in &kind.groups {
             let window = site.window(index, &estimator, group.first);
             for (axle, force_n) in

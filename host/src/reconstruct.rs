@@ -100,13 +100,6 @@ impl Recording {
         self.resampled(start_s, window_rate_hz, len, |f| c64::new(taper(f, band_hz[0], band_hz[1]), 0.0))
     }
 
-    /// Time derivative of [`Self::window`], m/s³.
-    pub fn window_slope(&self, start_s: f64, window_rate_hz: f64, len: usize, band_hz: [f64; 2]) -> Vec<f64> {
-        self.resampled(start_s, window_rate_hz, len, |f| {
-            c64::new(0.0, std::f64::consts::TAU * f * taper(f, band_hz[0], band_hz[1]))
-        })
-    }
-
     fn resampled(
         &self,
         start_s: f64,

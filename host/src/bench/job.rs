@@ -97,7 +97,7 @@ fn whole(input: &Path) -> Result<Value, JobError> {
     let sampling = GreensSampling { rate_hz: RATE_HZ, len: 512, band_hz: [300.0, 400.0] };
     let greens =
         GreensFunctions::try_new(&track, &ballast, sampling, Quantity::Displacement, &Chain::Corrected)?;
-    let rail = RailGreens::new(&track, &ballast, Side::Crossing, END_M, sampling);
+    let rail = RailGreens::of_crossing_rail(&track, &ballast, END_M, sampling);
     let moving = rail.kernel(&(0..SAMPLES).map(|k| paths()[0].x_m(k as f64 / RATE_HZ)).collect::<Vec<f64>>());
     let (mut peak, mut waveform) = (Vec::new(), Vec::new());
     let (mut deflection, mut all_paths): (f64, Vec<f64>) = (0.0, Vec::new());

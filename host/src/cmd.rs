@@ -5,6 +5,7 @@
 mod analyse;
 mod convert;
 mod demo;
+mod diagnose;
 mod kernel;
 pub mod node;
 mod output;
@@ -39,6 +40,7 @@ enum Command {
     Simulate(simulate::SimulateArgs),
     Kernel(kernel::KernelArgs),
     Node(node::NodeArgs),
+    Diagnose(diagnose::DiagnoseArgs),
     Verify(verify::VerifyArgs),
     Convert(convert::ConvertArgs),
 }
@@ -52,6 +54,7 @@ pub fn main() -> ExitCode {
         Command::Simulate(args) => args.run(),
         Command::Kernel(args) => args.run(),
         Command::Node(args) => args.run(),
+        Command::Diagnose(args) => args.run(),
         Command::Verify(args) => args.run(),
         Command::Convert(args) => args.run(),
     };

@@ -12,6 +12,7 @@ pub mod linear;
 pub mod measure;
 pub mod results;
 pub mod select;
+pub mod splines;
 pub mod split;
 pub mod variation;
 pub mod verdict;

@@ -13,5 +13,5 @@ mod prior;
 mod profile;
 
 pub use estimator::{Estimator, GroupGeometry, InverseError};
-pub use prior::{Prior, Spread, matern};
+pub use prior::{Prior, Spread};
 pub use profile::{CommonProfile, PositionGrid, ProfileGrids};

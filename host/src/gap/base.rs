@@ -12,7 +12,7 @@ use super::variation::{Shapes, Variation, estimate, scatter};
 use super::world::{Bed, Path, SensorModel, Wheels, World};
 use crate::ballast::BallastParameters;
 use crate::ballast::quasi_static::QuasiStatic;
-use crate::inverse::{CommonProfile, ProfileGrids, matern};
+use super::splines::{PathSplines, matern};
 use crate::passage::Profile;
 use crate::reconstruct::{Recording, SpeedSearch, estimate_speed};
 use crate::recording::Site;
@@ -22,7 +22,7 @@ use crate::vehicle::{AxlePattern, static_wheel_force_n};
 /// The estimated path covers this far on both sides of x = 0, metres.
 const HALF_M: f64 = 3.4;
 /// Spacing of its splines on the two rails, metres.
-const STEP_M: (f64, f64) = (0.055, 0.11);
+const STEP_M: [f64; 2] = [0.055, 0.11];
 /// A scan is continued to zero over this length, metres.
 const SCAN_FADE_M: f64 = 0.3;
 /// Correlation length of the path's deviation, metres.
@@ -120,7 +120,7 @@ pub fn nominal_world(site: &Site, ballast: BallastParameters) -> Result<World, G
         wheels: Wheels::default(),
         path: Path {
             scan,
-            deviation: CommonProfile::zero(ProfileGrids::new(HALF_M, STEP_M.0, STEP_M.1)),
+            deviation: PathSplines::level(HALF_M, STEP_M),
             half_m: HALF_M,
             stock_dip: None,
         },
@@ -129,7 +129,7 @@ pub fn nominal_world(site: &Site, ballast: BallastParameters) -> Result<World, G
 }
 
 /// Factor of the prior covariance of the path's deviation.
-pub fn path_root(site: &Site, grids: &ProfileGrids, prior: &PathPrior) -> Result<Mat<f64>, GapError> {
+pub fn path_root(site: &Site, grids: &PathSplines, prior: &PathPrior) -> Result<Mat<f64>, GapError> {
     let ends = site.scan.as_ref().map(|s| (s.position_m[0], s.position_m[s.position_m.len() - 1]));
     let sd = |side: Side, x: f64| match (side, ends) {
         (Side::Stock, _) => prior.stock_m,
@@ -185,7 +185,7 @@ pub fn base(site: &Site, subset: &[usize], search: &[usize], prior: &PathPrior) 
     let world = nominal_world(site, start)?;
     align(&world, &mut observed, window)?;
     observed.par_iter_mut().for_each(|o| o.line_up(window));
-    let grids = world.path.deviation.grids.clone();
+    let grids = world.path.deviation.clone();
     let deviation_root = path_root(site, &grids, prior)?;
     // Without a scan the path must be found together with the ballast; with one, ballast and axle times come first.
     let responses: Vec<BogieResponses> = match site.scan {
@@ -236,7 +236,7 @@ fn rough_factors(observed: &[Observed]) -> Vec<faer::linalg::solvers::Llt<f64>> 
 /// Linear responses and shapes of the variation around a world, per passage.
 fn linearise(world: &World, observed: &[Observed]) -> Result<(Vec<BogieResponses>, Vec<Shapes>), GapError> {
     let linear = Linear::new(world, observed)?;
-    let grids = &world.path.deviation.grids;
+    let grids = &world.path.deviation;
     Ok(observed
         .par_iter()
         .map(|o| {

@@ -105,7 +105,7 @@ impl State {
     pub fn world(&self, frame: &Frame, effects: &[&dyn Effect]) -> World {
         let mut world = frame.base.clone();
         world.ballast = self.ballast();
-        world.path.deviation.irregularity_m.copy_from_slice(&self.deviation_m);
+        world.path.deviation.coefficient_m.copy_from_slice(&self.deviation_m);
         for (effect, coordinates) in effects.iter().zip(&self.effects) {
             let values = values(*effect, coordinates);
             effect.apply(&mut world, &values);

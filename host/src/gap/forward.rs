@@ -70,9 +70,9 @@ impl Simulator {
         height_m: f64,
     ) -> Result<Self, SimulationError> {
         let mut moved = world.path.clone();
-        moved.deviation.irregularity_m[knot] += height_m;
+        moved.deviation.coefficient_m[knot] += height_m;
         let extent = [-world.path.half_m, world.path.half_m];
-        let side = world.path.deviation.grids.knots()[knot].0;
+        let side = world.path.deviation.knots()[knot].0;
         let profile = Profile::of(extent, GRID_M, |x| moved.at(side, x))?;
         let (mut train, mut surface) = (self.train.clone(), self.surface.clone());
         match side {

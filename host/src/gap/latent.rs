@@ -128,7 +128,7 @@ impl<'a> Scene<'a> {
     /// where `both`.
     pub fn at_knots(&self, both: bool, f: impl Fn(f64) -> f64) -> Vec<f64> {
         let direction = self.world.crossing.traffic_direction.sign();
-        let knots = self.world.path.deviation.grids.knots();
+        let knots = self.world.path.deviation.knots();
         knots
             .iter()
             .map(|(side, x)| if both || *side == Side::Crossing { f(direction * x) } else { 0.0 })

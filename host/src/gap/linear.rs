@@ -11,7 +11,7 @@ use super::GapError;
 use super::data::{Observed, RATE_HZ};
 use super::forward::{Response, Simulator};
 use super::world::World;
-use crate::inverse::ProfileGrids;
+use super::splines::PathSplines;
 use crate::track::Side;
 
 /// Change of a knot, metres: a small part of what loses contact.
@@ -65,7 +65,7 @@ impl Linear {
     pub fn new(world: &World, observed: &[Observed]) -> Result<Self, GapError> {
         let direction = world.crossing.traffic_direction.sign();
         let axle_load_kg = observed.first().map_or(world.crossing.vehicle.axle_load_kg, |o| o.axle_load_kg);
-        let grids = &world.path.deviation.grids;
+        let grids = &world.path.deviation;
         let knots: Vec<(f64, bool)> =
             grids.knots().iter().map(|(side, x)| (direction * x, *side == Side::Stock)).collect();
         let simulator = Simulator::new(world, axle_load_kg)?;
@@ -153,7 +153,7 @@ fn weights(nodes: &[Node], speed_m_s: f64) -> Vec<f64> {
 
 fn node(world: &World, simulator: &Simulator, axle_load_kg: f64, speed_m_s: f64) -> Result<Node, GapError> {
     let here = simulator.response(speed_m_s)?;
-    let grids: &ProfileGrids = &world.path.deviation.grids;
+    let grids: &PathSplines = &world.path.deviation;
     let bump = |axle: usize, k: usize| -> Result<Response, GapError> {
         Ok(simulator.with_bump(world, k, axle, BUMP_M)?.response(speed_m_s)?.less(&here, BUMP_M))
     };

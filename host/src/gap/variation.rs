@@ -9,7 +9,7 @@ use faer::linalg::solvers::Llt;
 
 use super::linear::BogieResponses;
 use super::world::Path;
-use crate::inverse::ProfileGrids;
+use super::splines::PathSplines;
 use crate::track::Side;
 
 /// Sizes (standard deviations) of the parts.
@@ -78,7 +78,7 @@ const SLOPE_M: f64 = 5e-3;
 
 impl Shapes {
     /// For the windows of one passage.
-    pub fn new(responses: &BogieResponses, grids: &ProfileGrids, path: &Path) -> Self {
+    pub fn new(responses: &BogieResponses, grids: &PathSplines, path: &Path) -> Self {
         let len = responses.profile[0].nrows();
         let mut parts: Vec<Mat<f64>> = (0..PARTS - 1).map(|_| Mat::zeros(len, len)).collect();
         let knots = grids.knots();
@@ -102,7 +102,7 @@ impl Shapes {
                     if knots[i].0 != side || knots[j].0 != side {
                         return 0.0;
                     }
-                    crate::inverse::matern((knots[i].1 - knots[j].1).abs() / OWN_CORRELATION_M)
+                    super::splines::matern((knots[i].1 - knots[j].1).abs() / OWN_CORRELATION_M)
                 });
                 let half = a * &own;
                 parts[part] += &half * a.transpose();

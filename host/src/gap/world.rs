@@ -1,7 +1,7 @@
 //! What the diagnosis assumes of a site: everything that the forward simulation needs, as plain values.
 
 use crate::ballast::BallastParameters;
-use crate::inverse::CommonProfile;
+use super::splines::PathSplines;
 use crate::passage::Profile;
 use crate::recording::Crossing;
 use crate::track::Side;
@@ -59,7 +59,7 @@ pub struct Path {
     /// Scan, faded out beyond its ends.
     pub scan: Profile,
     /// Deviation from it on the crossing side, and the whole surface of the stock rail.
-    pub deviation: CommonProfile,
+    pub deviation: PathSplines,
     /// Extent in which the deviation counts, metres from x = 0.
     pub half_m: f64,
     /// A dip in the stock rail: depth, position x, length, metres.

@@ -149,11 +149,6 @@ fn slow_amplitudes(positions_m: &[f64], span_m: f64) -> Mat<f64> {
 
 /// Matérn-5/2 correlation at a distance of `lag` steps of `step` correlation lengths.
 pub fn matern_at(lag: usize, step: f64) -> f64 {
-    matern(lag as f64 * step)
-}
-
-/// Matérn-5/2 correlation at a distance in correlation lengths.
-pub fn matern(distance: f64) -> f64 {
-    let r = 5f64.sqrt() * distance;
+    let r = 5f64.sqrt() * lag as f64 * step;
     (1.0 + r + r * r / 3.0) * (-r).exp()
 }

@@ -91,11 +91,6 @@ impl ProfileGrids {
         part.flat_map(move |p| p.grid.splines(x_m).map(move |(i, value)| (p.first + i, value)))
     }
 
-    /// Rail and position of every entry of the joint vector, metres.
-    pub fn knots(&self) -> Vec<(Side, f64)> {
-        self.parts.iter().flat_map(|p| (0..p.grid.len).map(move |i| (p.side, p.grid.position_m(i)))).collect()
-    }
-
     /// Prior covariance of the joint vector, m².
     pub fn prior_covariance(&self, prior: &Prior) -> Mat<f64> {
         let mut out = Mat::zeros(self.len(), self.len());

@@ -3,6 +3,7 @@
 //! Exit code 0 on success, 1 on a failed operation, 2 on wrong usage (by clap).
 
 mod analyse;
+mod blind_trial;
 mod convert;
 mod demo;
 mod diagnose;
@@ -41,6 +42,7 @@ enum Command {
     Kernel(kernel::KernelArgs),
     Node(node::NodeArgs),
     Diagnose(diagnose::DiagnoseArgs),
+    BlindTrial(blind_trial::BlindTrialArgs),
     Verify(verify::VerifyArgs),
     Convert(convert::ConvertArgs),
 }
@@ -55,6 +57,7 @@ pub fn main() -> ExitCode {
         Command::Kernel(args) => args.run(),
         Command::Node(args) => args.run(),
         Command::Diagnose(args) => args.run(),
+        Command::BlindTrial(args) => args.run(),
         Command::Verify(args) => args.run(),
         Command::Convert(args) => args.run(),
     };

@@ -14,6 +14,7 @@ pub mod results;
 pub mod select;
 pub mod splines;
 pub mod split;
+pub mod trial;
 pub mod variation;
 pub mod verdict;
 pub mod where_;

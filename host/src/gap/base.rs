@@ -8,11 +8,11 @@ use super::data::{Observed, window_m};
 use super::effect::Effect;
 use super::fit::{Fit, FitOptions, Frame, State, fit};
 use super::linear::{BogieResponses, Linear};
+use super::splines::{PathSplines, matern};
 use super::variation::{Shapes, Variation, estimate, scatter};
 use super::world::{Bed, Path, SensorModel, Wheels, World};
 use crate::ballast::BallastParameters;
 use crate::ballast::quasi_static::QuasiStatic;
-use super::splines::{PathSplines, matern};
 use crate::passage::Profile;
 use crate::reconstruct::{Recording, SpeedSearch, estimate_speed};
 use crate::recording::Site;
@@ -118,12 +118,7 @@ pub fn nominal_world(site: &Site, ballast: BallastParameters) -> Result<World, G
         ballast,
         bed: Bed::default(),
         wheels: Wheels::default(),
-        path: Path {
-            scan,
-            deviation: PathSplines::level(HALF_M, STEP_M),
-            half_m: HALF_M,
-            stock_dip: None,
-        },
+        path: Path { scan, deviation: PathSplines::level(HALF_M, STEP_M), half_m: HALF_M, stock_dip: None },
         sensor: SensorModel::default(),
     })
 }

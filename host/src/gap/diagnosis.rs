@@ -308,23 +308,30 @@ impl<'a> Session<'a> {
         }
         progress.step();
         let mut list = self.candidates(&tried, &reference, &latent);
+        let misfit: f64 = reference.passages.iter().map(|p| squares(&p.residual)).sum();
+        for c in &mut list {
+            c.gain = if self.worth_naming(c, number, misfit) { c.gain } else { c.gain.min(0.5 * LEAST_GAIN) };
+        }
         list.sort_by(|a, b| b.gain.total_cmp(&a.gain));
         self.rank(&list);
-        let Some(best) = list.first() else { return Ok(false) };
-        let misfit: f64 = reference.passages.iter().map(|p| squares(&p.residual)).sum();
+        match list.first() {
+            Some(best) if best.gain > LEAST_GAIN => {}
+            _ => return Ok(false),
+        }
+        let best = &list[0];
+        self.accept(best.name, tried, latent, &list)?;
+        Ok(true)
+    }
+
+    /// Whether an effect explains enough to be named.
+    fn worth_naming(&self, c: &Candidate, number: usize, misfit: f64) -> bool {
+        // A model as good as the scatter of the wheels has nothing to explain, unless the gain comes from elsewhere.
+        let excess = self.scatter.0.max(0.0).sqrt();
+        let room = excess > LEAST_EXCESS || c.misfit_gain.is_infinite() || c.stage == Stage::Timing;
         // What the first effect's description leaves must not be taken for a second one.
         let (least_gain, least_share) =
             if number == 0 { (LEAST_GAIN, LEAST_SHARE) } else { (2.0 * LEAST_GAIN, 2.5 * LEAST_SHARE) };
-        // A model as good as the scatter of the wheels has nothing to explain, unless the gain comes from elsewhere.
-        let excess = self.scatter.0.max(0.0).sqrt();
-        let room = excess > LEAST_EXCESS || best.misfit_gain.is_infinite() || best.stage == Stage::Timing;
-        let enough =
-            best.full && room && best.gain > least_gain && 2.0 * best.misfit_gain > least_share * misfit;
-        if !enough {
-            return Ok(false);
-        }
-        self.accept(best.name, tried, latent, &list)?;
-        Ok(true)
+        c.full && room && c.gain > least_gain && 2.0 * c.misfit_gain > least_share * misfit
     }
 
     fn candidates(

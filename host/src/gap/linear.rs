@@ -10,8 +10,8 @@ use rayon::prelude::*;
 use super::GapError;
 use super::data::{Observed, RATE_HZ};
 use super::forward::{Response, Simulator};
-use super::world::World;
 use super::splines::PathSplines;
+use super::world::World;
 use crate::track::Side;
 
 /// Change of a knot, metres: a small part of what loses contact.

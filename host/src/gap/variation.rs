@@ -8,8 +8,8 @@ use faer::Mat;
 use faer::linalg::solvers::Llt;
 
 use super::linear::BogieResponses;
-use super::world::Path;
 use super::splines::PathSplines;
+use super::world::Path;
 use crate::track::Side;
 
 /// Sizes (standard deviations) of the parts.

@@ -1,7 +1,7 @@
 //! What the diagnosis assumes of a site: everything that the forward simulation needs, as plain values.
 
-use crate::ballast::BallastParameters;
 use super::splines::PathSplines;
+use crate::ballast::BallastParameters;
 use crate::passage::Profile;
 use crate::recording::Crossing;
 use crate::track::Side;

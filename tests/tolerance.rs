@@ -55,3 +55,8 @@ pub const DENSITY: f64 = 1e-6;
 pub const LINEAR_N: f64 = 1e-4;
 /// Explained plus remaining variance against the prior's: rounding, amplified by the condition of the covariance.
 pub const VARIANCE: f64 = 1e-5;
+
+/// `closed_fraction` from `predictions.parquet` against `diagnosis.json`: what the contract allows.
+pub const CLOSED_FRACTION: f64 = 0.01;
+/// Gaps from `predictions.parquet` against `diagnosis.json`, relative: rounding of sums of some 10⁴ squares.
+pub const GAP_RECOMPUTED: f64 = 1e-9;

@@ -34,6 +34,9 @@ pub(super) struct BlindTrialArgs {
     /// Directory for the scores; created when missing
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
+    /// Keep the sites and their diagnoses below the output directory
+    #[arg(long)]
+    keep: bool,
     /// Print the scores as JSON
     #[arg(long)]
     json: bool,
@@ -46,7 +49,8 @@ impl BlindTrialArgs {
         bar.begin("trials", self.trials);
         let mut scores = Vec::new();
         for index in self.first..self.first + self.trials {
-            scores.push(one(self.seed, index).with_context(|| format!("trial {index}"))?);
+            let kept = self.keep.then(|| self.out.join(format!("trial-{index}")));
+            scores.push(one(self.seed, index, kept.as_deref()).with_context(|| format!("trial {index}"))?);
             bar.step();
             self.write(&scores)?;
         }
@@ -66,10 +70,11 @@ impl BlindTrialArgs {
 }
 
 /// Draws, diagnoses and scores one trial.
-fn one(seed: u64, index: u64) -> anyhow::Result<Score> {
+fn one(seed: u64, index: u64, kept: Option<&Path>) -> anyhow::Result<Score> {
     let work = tempfile::tempdir().context("no temporary directory")?;
     let trial = draw(seed, index, work.path())?;
-    let (site, out) = (work.path().join("site"), work.path().join("diagnosis"));
+    let place = kept.unwrap_or(work.path());
+    let (site, out) = (place.join("site"), place.join("diagnosis"));
     write_site(&site, &trial.site, Format::Parquet)?;
     let diagnosis = diagnose(&site, &out, trial.exclude)?;
     Ok(score(trial.answer, &diagnosis))

@@ -157,8 +157,15 @@ pub fn path_root(site: &Site, grids: &PathSplines, prior: &PathPrior) -> Result<
 /// Relative error of the forward model that all wheels share, as a part of the mean window's RMS.
 const DISCREPANCY: f64 = 0.01;
 
-/// Fits the base model to the passages of `subset`; the first, rough fits use `search` only.
-pub fn base(site: &Site, subset: &[usize], search: &[usize], prior: &PathPrior) -> Result<Base, GapError> {
+/// Fits the base model to the passages of `subset`; the first, rough fits use `search` only. With `range_m_s2` the
+/// transducer is known to clip there.
+pub fn base(
+    site: &Site,
+    subset: &[usize],
+    search: &[usize],
+    prior: &PathPrior,
+    range_m_s2: Option<f64>,
+) -> Result<Base, GapError> {
     let mut observed = observe(site)?;
     let crossing = &site.crossing;
     let pattern = AxlePattern::of_vehicle(&crossing.vehicle);
@@ -177,7 +184,8 @@ pub fn base(site: &Site, subset: &[usize], search: &[usize], prior: &PathPrior) 
         p3: 0.4,
         ..quasi_static
     };
-    let world = nominal_world(site, start)?;
+    let mut world = nominal_world(site, start)?;
+    world.sensor.range_m_s2 = range_m_s2;
     align(&world, &mut observed, window)?;
     observed.par_iter_mut().for_each(|o| o.line_up(window));
     let grids = world.path.deviation.clone();

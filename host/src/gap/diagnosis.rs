@@ -51,7 +51,7 @@ pub struct Ranked {
     pub probability: f64,
     /// Gain in log evidence per independent look in the round in which it did best.
     pub gain: f64,
-    /// Gap on the training passages with it, as the linear or the full fit expects it.
+    /// Gap on the held-out passages with everything named, for a named effect; that of the base model for the others.
     pub gap_after: f64,
 }
 
@@ -125,7 +125,7 @@ const SAME_GAIN: f64 = 4.0;
 /// Standard deviation of the path around the scan and of the stock rail, metres: as the reference recordings have it.
 const PATH_PRIOR: PathPrior = PathPrior { inside_m: 10e-6, outside_m: 20e-6, stock_m: 15e-6 };
 /// Passages used for the search; all training passages for the final fit.
-const SEARCH_PASSAGES: usize = 14;
+const SEARCH_PASSAGES: usize = 12;
 
 /// Diagnoses a site.
 pub fn diagnose(
@@ -137,10 +137,19 @@ pub fn diagnose(
     progress.begin("base model", 1);
     let split = split(site);
     let search = thinned(&split.train, SEARCH_PASSAGES);
-    let mut base = base(site, &split.train, &search, &PATH_PRIOR)?;
+    let mut base = base(site, &split.train, &search, &PATH_PRIOR, None)?;
     progress.step();
-    let before = base.fit.state.clone();
+    let before = base.fit.state.world(&base.frame, &[]);
+    // Flat tops are seen without any model, and nothing else can be learnt before they are in it.
+    let clips = super::effects::saturation::flat_top_m_s2(site)
+        .filter(|_| !options.quick && !options.exclude.iter().any(|e| e == "saturation"));
+    if clips.is_some() {
+        base = super::base::base(site, &split.train, &search, &PATH_PRIOR, clips)?;
+    }
     let mut session = Session::new(site, options, &split, &search, &mut base);
+    if let Some(range_m_s2) = clips {
+        session.saturated(range_m_s2);
+    }
     if !options.quick {
         session.search(progress)?;
     }
@@ -216,6 +225,26 @@ impl<'a> Session<'a> {
         session
     }
 
+    /// The transducer clips; this is known before any search.
+    fn saturated(&mut self, range_m_s2: f64) {
+        let parameters = vec![("range_m_s2", range_m_s2, 0.97 * range_m_s2, 1.03 * range_m_s2)];
+        let (name, stage) = ("saturation", Stage::Sensor);
+        self.named.push(Named {
+            name,
+            stage,
+            probability: 0.99,
+            parameters,
+            indistinguishable_from: Vec::new(),
+        });
+        self.ranking.push(Ranked {
+            name,
+            stage,
+            probability: 0.99,
+            gain: f64::INFINITY,
+            gap_after: f64::NAN,
+        });
+    }
+
     /// What the site does not allow to tell.
     fn remark_on(&mut self, site: &Site) {
         let spread = |v: Vec<f64>| {
@@ -272,7 +301,7 @@ impl<'a> Session<'a> {
     }
 
     fn search(&mut self, progress: &dyn Progress) -> Result<(), GapError> {
-        for number in 0..MOST_EFFECTS {
+        for number in self.named.len()..MOST_EFFECTS {
             progress.begin(&format!("effects, round {}", number + 1), 2);
             if !self.one_round(number, progress)? {
                 break;
@@ -303,7 +332,7 @@ impl<'a> Session<'a> {
             &self.hints,
             self.search,
         )?;
-        if number == 0 {
+        if self.cosines.is_empty() {
             self.cosines = cosines(&screening, &candidates);
         }
         progress.step();
@@ -503,7 +532,11 @@ impl<'a> Session<'a> {
         }
     }
 
-    fn conclude(mut self, before: &State, progress: &dyn Progress) -> Result<Diagnosis, GapError> {
+    fn conclude(
+        mut self,
+        base_world: &super::world::World,
+        progress: &dyn Progress,
+    ) -> Result<Diagnosis, GapError> {
         progress.begin("held-out passages", 3);
         if !self.accepted.is_empty() {
             let state = self.state();
@@ -515,21 +548,24 @@ impl<'a> Session<'a> {
         progress.step();
         let frame = &self.base.frame;
         let all: Vec<usize> = (0..frame.observed.len()).collect();
-        let base_world = before.world(frame, &[]);
         let after_state = self.state();
         let after_world = after_state.world(frame, &self.accepted);
-        let base_responses = simulate(&base_world, frame, &all)?;
+        let base_responses = simulate(base_world, frame, &all)?;
         let after_responses = simulate(&after_world, frame, &all)?;
         progress.step();
         let latent: Vec<&LatentFit> = self.latent_fits.iter().map(|(_, f)| f).collect();
         let predicted =
-            predictions(frame, (&base_world, &base_responses), (&after_world, &after_responses), &latent);
+            predictions(frame, (base_world, &base_responses), (&after_world, &after_responses), &latent);
         let held_out: Vec<Prediction> = self.split.test.iter().map(|i| predicted[*i].clone()).collect();
         let gap = measure(&held_out, !self.named.is_empty());
         let residuals = super::where_::residuals(&predicted, frame, &self.split.test);
         let depends_on = super::where_::depends_on(&residuals, &self.named);
         let position_m = super::where_::positions(&predicted);
         self.ranking.sort_by(|a, b| b.probability.total_cmp(&a.probability));
+        for r in &mut self.ranking {
+            let named = self.named.iter().any(|n| n.name == r.name);
+            r.gap_after = if named { gap.after } else { gap.before };
+        }
         let verdict = verdict(&gap, &self.named);
         let stage = super::verdict::stage(verdict, &self.named, &self.ranking);
         progress.step();

@@ -11,7 +11,7 @@ mod gain_temperature;
 mod load_transfer;
 mod mount_resonance;
 mod pad_stiffness;
-mod saturation;
+pub mod saturation;
 mod stock_irregularity;
 mod support_loss;
 mod tonal;

@@ -203,7 +203,7 @@ pub struct FitOptions {
 
 impl Default for FitOptions {
     fn default() -> Self {
-        Self { steps: 10, renew: 8, tolerance: 0.3 }
+        Self { steps: 8, renew: 6, tolerance: 0.5 }
     }
 }
 
@@ -263,7 +263,7 @@ fn descend(
     subset: &[usize],
     cost: f64,
 ) -> Option<(State, Evaluation)> {
-    [1.0, 0.4, 0.1, 0.02].into_iter().find_map(|scale| {
+    [1.0, 0.35, 0.1].into_iter().find_map(|scale| {
         let candidate = moved(frame, effects, state, solution, scale, subset);
         let evaluation = Evaluation::new(frame, effects, &candidate, subset).ok()?;
         (evaluation.cost < cost).then_some((candidate, evaluation))

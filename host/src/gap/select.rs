@@ -16,8 +16,8 @@ pub struct Tried<'e> {
     pub fit: Option<Fit>,
 }
 
-/// Candidates that are fitted at most in one round.
-const FITTED: usize = 6;
+/// Candidates that are fitted at most in the first round, and in later ones.
+const FITTED: (usize, usize) = (5, 2);
 /// Least expected gain for a fit; an effect that is worth naming gains several times as much.
 const LEAST_GAIN: f64 = 4.0;
 /// A candidate is not fitted when its expected gain is below this part of the largest.
@@ -43,7 +43,8 @@ pub fn round<'e>(
     let mut tried = Vec::new();
     for (rank, (e, gain, start)) in order.into_iter().enumerate() {
         let effect = candidates[e];
-        let passes = rank < FITTED && gain > LEAST_GAIN && gain > LEAST_SHARE * largest;
+        let most = if accepted.is_empty() { FITTED.0 } else { FITTED.1 };
+        let passes = rank < most && gain > LEAST_GAIN && gain > LEAST_SHARE * largest;
         let fit = if passes {
             let mut list: Vec<&dyn Effect> = accepted.to_vec();
             list.push(effect);

@@ -26,6 +26,27 @@ impl BallastParameters {
         self.p2_n_m2 + (self.p1_n_m2 - self.p2_n_m2) * q
     }
 
+    /// (ln p1, ln p2, p3), stiffnesses in N/m²: positive, and equally uncertain at any size.
+    pub fn to_vector(&self) -> [f64; 3] {
+        [self.p1_n_m2.ln(), self.p2_n_m2.ln(), self.p3]
+    }
+
+    /// Inverse of [`Self::to_vector`], within 0.4 … 490 MN/m² and 0 … 1.
+    pub fn from_vector(z: &[f64; 3]) -> Self {
+        Self {
+            p1_n_m2: z[0].clamp(13.0, 20.0).exp(),
+            p2_n_m2: z[1].clamp(13.0, 20.0).exp(),
+            p3: z[2].clamp(0.0, 1.0),
+        }
+    }
+
+    /// With entry `k` of the vector moved by `step`.
+    pub fn moved(&self, k: usize, step: f64) -> Self {
+        let mut z = self.to_vector();
+        z[k] += step;
+        Self::from_vector(&z)
+    }
+
     /// Stiffness of all sleepers, N/m².
     pub fn distribution(&self, n_sleepers: usize, crossing_sleeper: usize) -> Vec<f64> {
         (0..n_sleepers).map(|i| self.at_offset(i as i64 - crossing_sleeper as i64)).collect()

@@ -1,10 +1,15 @@
-//! Contact force of every wheelset of a passage, with intervals.
+//! Contact force of every wheelset, with intervals that hold what is not known of forces, noise, ballast and positions.
 
+use faer::Mat;
 use rayon::prelude::*;
 
 use crate::identify::IdentifiedSite;
-use crate::inverse::hierarchy::{SitePassage, kinds};
-use crate::inverse::{Estimator, GroupGeometry, InverseError};
+use crate::inverse::hierarchy::{GroupKind, kinds};
+use crate::inverse::{
+    Estimator, Excitation, GroupGeometry, InverseError, Running, TrackModel, expected_window,
+};
+use crate::irregularity::on_grid;
+use crate::signal::mean;
 
 /// Forces are low-passed here, Hz (paper, section 4.2): the displacement holds hardly any energy above.
 pub const LOW_PASS_HZ: f64 = 250.0;
@@ -22,44 +27,63 @@ pub struct WheelForce {
     pub sd_n: Vec<f64>,
 }
 
-/// Forces of the wheelsets of passage `index`, over the whole stretch in which they are estimated, at the sampling rate
-/// of the Green's functions.
-pub fn wheel_forces(site: &IdentifiedSite, index: usize) -> Result<Vec<WheelForce>, InverseError> {
-    let passage = SitePassage {
-        recording: &site.recordings[index],
-        timing: site.timings[index],
-        static_force_n: site.static_force_n[index],
-    };
-    let speed = passage.timing.speed_m_s;
-    let rate = site.greens.sampling.rate_hz;
-    let reach = (site.prior.half_m / speed * rate).floor() as i64;
-    let position_m: Vec<f64> = (-reach..=reach).map(|j| site.direction * speed * j as f64 / rate).collect();
-    let mut forces = Vec::new();
-    for kind in kinds(&site.pattern) {
-        let geometry = GroupGeometry {
+/// Forces of the wheelsets of all passages, in order, over the whole stretch in which they are estimated, at the sampling
+/// rate of the Green's functions.
+pub fn all_wheel_forces(
+    site: &IdentifiedSite,
+    done: &(dyn Fn() + Sync),
+) -> Result<Vec<Vec<WheelForce>>, InverseError> {
+    let spread = Spread::new(site)?;
+    (0..site.recordings.len())
+        .into_par_iter()
+        .map(|i| {
+            let forces = wheel_forces(site, i, &spread);
+            done();
+            forces
+        })
+        .collect()
+}
+
+fn model<'s>(site: &'s IdentifiedSite) -> TrackModel<'s> {
+    TrackModel { greens: &site.greens, excitation: Excitation::Force }
+}
+
+fn geometry<'k>(site: &IdentifiedSite, kind: &'k GroupKind, index: usize) -> GroupGeometry<'k> {
+    GroupGeometry {
+        running: Running {
             direction: site.direction,
-            speed_m_s: speed,
-            axle_offset_m: &kind.offsets.own,
-            train_offset_m: &kind.offsets.train,
-            static_force_n: passage.static_force_n,
-            mean_force: None,
-        };
-        let estimator =
-            Estimator::new(&site.greens, &geometry, &site.prior, &site.interaction, &site.profile)?;
-        let gains = estimator.gains(&position_m, LOW_PASS_HZ);
+            speed_m_s: site.timings[index].speed_m_s,
+            static_force_n: site.static_force_n[index],
+        },
+        axle_offset_m: &kind.offsets.own,
+        train_offset_m: &kind.offsets.train,
+    }
+}
+
+/// Positions of a wheel at the sampling rate while its force is unknown, in the order of passing.
+fn positions_m(site: &IdentifiedSite, index: usize) -> Vec<f64> {
+    let speed = site.timings[index].speed_m_s;
+    let rate = site.greens.sampling.rate_hz;
+    crate::greens::moving::own_positions(site.direction, speed, site.prior.half_m, rate).1
+}
+
+fn wheel_forces(
+    site: &IdentifiedSite,
+    index: usize,
+    spread: &Spread,
+) -> Result<Vec<WheelForce>, InverseError> {
+    let position_m = positions_m(site, index);
+    let mut forces = Vec::new();
+    for (k, kind) in kinds(&site.pattern).iter().enumerate() {
+        let estimator = Estimator::new(&model(site), &geometry(site, kind, index), &site.prior, &site.profile)?;
         for group in &kind.groups {
-            let start =
-                passage.timing.axle_s(site.pattern.offset_m[group.first]) - estimator.before as f64 / rate;
-            let window = passage.recording.window(start, rate, estimator.len(), site.greens.sampling.band_hz);
-            let residual: Vec<f64> =
-                window.iter().zip(&estimator.expected_m_s2).map(|(a, b)| a - b).collect();
-            for (axle, gain) in gains.iter().enumerate() {
-                forces.push(WheelForce {
-                    wheelset: group.first + axle,
-                    position_m: position_m.clone(),
-                    force_n: gain.apply(&residual),
-                    sd_n: gain.sd_n.iter().map(|s| s * site.misfit_ratio).collect(),
-                });
+            let window = site.window(index, &estimator, group.first);
+            for (axle, force_n) in
+                estimator.forces_n(&window, &position_m, LOW_PASS_HZ).into_iter().enumerate()
+            {
+                let wheelset = group.first + axle;
+                let sd_n = spread.sd_n(k, axle, &position_m);
+                forces.push(WheelForce { wheelset, position_m: position_m.clone(), force_n, sd_n });
             }
         }
     }
@@ -67,17 +91,98 @@ pub fn wheel_forces(site: &IdentifiedSite, index: usize) -> Result<Vec<WheelForc
     Ok(forces)
 }
 
-/// [`wheel_forces`] of all passages, in order, on all cores.
-pub fn all_wheel_forces(
+/// Standard deviation of the force along the track for every kind of axle group and axle, taken at the passage of the
+/// most usual speed: it hardly depends on the speed.
+pub struct Spread {
+    position_m: Vec<f64>,
+    /// `[kind][axle]`, newtons.
+    sd_n: Vec<Vec<Vec<f64>>>,
+}
+
+impl Spread {
+    /// At the passage whose speed is nearest the mean.
+    pub fn new(site: &IdentifiedSite) -> Result<Self, InverseError> {
+        let speeds: Vec<f64> = site.timings.iter().map(|t| t.speed_m_s).collect();
+        let usual = mean(&speeds);
+        let index = (0..speeds.len())
+            .min_by(|a, b| (speeds[*a] - usual).abs().total_cmp(&(speeds[*b] - usual).abs()))
+            .unwrap_or(0);
+        let position_m = positions_m(site, index);
+        let sd_n = kinds(&site.pattern)
+            .iter()
+            .map(|kind| sds_of(site, kind, index, &position_m))
+            .collect::<Result<_, _>>()?;
+        Ok(Self { position_m, sd_n })
+    }
+
+    /// Of an axle of a kind of group, at positions.
+    pub fn sd_n(&self, kind: usize, axle: usize, position_m: &[f64]) -> Vec<f64> {
+        on_grid(&self.position_m, &self.sd_n[kind][axle], position_m).iter().map(|s| s.max(0.0)).collect()
+    }
+}
+
+/// Of the axles of one kind: own deviation, load and noise; what is left unknown of the common profile; ballast and the
+/// position that all passages share, from the calibration.
+fn sds_of(
     site: &IdentifiedSite,
-    done: &(dyn Fn() + Sync),
-) -> Result<Vec<Vec<WheelForce>>, InverseError> {
-    (0..site.recordings.len())
-        .into_par_iter()
+    kind: &GroupKind,
+    index: usize,
+    position_m: &[f64],
+) -> Result<Vec<Vec<f64>>, InverseError> {
+    let geometry = geometry(site, kind, index);
+    let estimator = Estimator::new(&model(site), &geometry, &site.prior, &site.profile)?;
+    let gains = estimator.gains(position_m, LOW_PASS_HZ, &site.profile);
+    let ballast = ballast_sensitivity(site, &geometry, position_m)?;
+    let p = site.profile.value.len();
+    let profile_covariance = site.posterior.covariance.submatrix(0, 0, p, p);
+    let known: Mat<f64> = Mat::from_fn(3, 3, |i, j| site.ballast.covariance[i][j]);
+    let sds = gains.iter().zip(&ballast).map(|(axle, ballast)| {
+        let own: Vec<f64> = axle.sd_n.iter().map(|s| s * s).collect();
+        let profile = variances(&axle.profile, &(&axle.profile * profile_covariance));
+        let ballast = variances(ballast, &(ballast * &known));
+        let slope = slope_n_m(position_m, &axle.base_n);
+        let sd = |i: usize| {
+            let position = (slope[i] * site.ballast.shift_sd_m).powi(2);
+            (own[i] + profile[i] + ballast[i] + position).sqrt()
+        };
+        (0..position_m.len()).map(sd).collect()
+    });
+    Ok(sds.collect())
+}
+
+/// Change of the forces of every axle per (ln p1, ln p2, p3), newtons, if every wheel stood for itself: what a wrong ballast
+/// puts into all wheels alike, the common profile takes over as well.
+fn ballast_sensitivity(
+    site: &IdentifiedSite,
+    geometry: &GroupGeometry,
+    position_m: &[f64],
+) -> Result<Vec<Mat<f64>>, InverseError> {
+    let prior = site.prior.with_common_as_own();
+    let estimator = Estimator::new(&model(site), geometry, &prior, &site.profile)?;
+    let mut columns: Mat<f64> = Mat::zeros(estimator.len(), 3);
+    for (k, (greens, step)) in site.nearby_greens.iter().enumerate() {
+        let moved = TrackModel { greens, excitation: Excitation::Force };
+        let expected = expected_window(&moved, geometry, &prior, &site.profile);
+        for (i, value) in expected.iter().enumerate() {
+            columns[(i, k)] = (value - estimator.expected_m_s2[i]) / step;
+        }
+    }
+    let gains = estimator.gains(position_m, LOW_PASS_HZ, &site.profile);
+    Ok(gains.iter().map(|axle| -(&axle.gain * &columns)).collect())
+}
+
+/// Diagonal of a · bᵀ.
+fn variances(a: &Mat<f64>, b: &Mat<f64>) -> Vec<f64> {
+    (0..a.nrows()).map(|i| (0..a.ncols()).map(|j| a[(i, j)] * b[(i, j)]).sum::<f64>().max(0.0)).collect()
+}
+
+/// Slope of a force along equidistant positions by central differences, N/m.
+fn slope_n_m(position_m: &[f64], force_n: &[f64]) -> Vec<f64> {
+    let last = position_m.len().saturating_sub(1);
+    (0..position_m.len())
         .map(|i| {
-            let forces = wheel_forces(site, i);
-            done();
-            forces
+            let (a, b) = (i.saturating_sub(1), (i + 1).min(last));
+            (force_n[b] - force_n[a]) / (position_m[b] - position_m[a])
         })
         .collect()
 }

@@ -35,9 +35,9 @@ pub struct GreensSampling {
 }
 
 impl GreensSampling {
-    /// Identification: 1 kHz, full band of the force estimate with room for the transition.
+    /// Force estimate: 800 Hz, its full band with room for the transition.
     pub fn wide() -> Self {
-        Self { rate_hz: 1000.0, len: 512, band_hz: [260.0, 330.0] }
+        Self { rate_hz: 800.0, len: 512, band_hz: [260.0, 330.0] }
     }
 
     /// Calibration by evidence: 400 Hz.
@@ -94,6 +94,8 @@ pub struct GreensFunctions {
     shear_ratio: [Vec<f64>; 2],
     /// `[side][(node * 2 + dof) * len + lag]`, periodic in lag.
     response: [Vec<f64>; 2],
+    /// `[side][(node * 2 + dof) * lines + line]`: transform of the responses, up to the end of the band.
+    spectrum: [Vec<c64>; 2],
 }
 
 impl GreensFunctions {
@@ -119,16 +121,35 @@ impl GreensFunctions {
                 chain.gain(*f) * (order * taper(*f, sampling.band_hz[0], sampling.band_hz[1]))
             })
             .collect();
+        let crossing = spectra(&receptance.crossing, &gain, sampling);
+        let stock = spectra(&receptance.stock, &gain, sampling);
         Self {
             sampling,
             first_node_x_m: track.node_x_m[0],
             step_m: track.step_m,
             n_nodes: track.node_x_m.len(),
             shear_ratio: [phi(Side::Crossing), phi(Side::Stock)],
-            response: [
-                impulse_responses(&receptance.crossing, &gain, sampling),
-                impulse_responses(&receptance.stock, &gain, sampling),
-            ],
+            response: [time_series(&crossing, gain.len(), sampling, 0.0), time_series(&stock, gain.len(), sampling, 0.0)],
+            spectrum: [crossing, stock],
+        }
+    }
+
+    /// The same for forces within `half_m` of x = 0 only, all responses later by `delay_samples`.
+    pub fn delayed(&self, delay_samples: f64, half_m: f64) -> Self {
+        let node = |x_m: f64| ((x_m - self.first_node_x_m) / self.step_m).clamp(0.0, self.n_nodes as f64 - 1.0);
+        let first = node(-half_m).floor() as usize;
+        let last = (node(half_m).ceil() as usize).clamp((first + 1).min(self.n_nodes - 1), self.n_nodes - 1);
+        let lines = self.spectrum[0].len() / (2 * self.n_nodes);
+        let spectrum = [0, 1].map(|s| self.spectrum[s][2 * first * lines..2 * (last + 1) * lines].to_vec());
+        let response = [0, 1].map(|s: usize| time_series(&spectrum[s], lines, self.sampling, delay_samples));
+        Self {
+            sampling: self.sampling,
+            first_node_x_m: self.first_node_x_m + first as f64 * self.step_m,
+            step_m: self.step_m,
+            n_nodes: last - first + 1,
+            shear_ratio: [0, 1].map(|s| self.shear_ratio[s][first..last].to_vec()),
+            response,
+            spectrum,
         }
     }
 
@@ -142,34 +163,75 @@ impl GreensFunctions {
     /// Writes the response at the sensor to a unit impulse at `x_m` on one rail into `out`, all lags (periodic).
     /// The force inside an element acts on its nodes by the element's shape functions. Zero outside the track.
     pub fn at(&self, side: Side, x_m: f64, out: &mut [f64]) {
-        out.fill(0.0);
+        let Some((weights, series)) = self.nodes_at(side, x_m) else {
+            out.fill(0.0);
+            return;
+        };
+        let [a, b, c, d] = series;
+        for (k, o) in out.iter_mut().enumerate().take(self.sampling.len) {
+            *o = weights[0] * a[k] + weights[1] * b[k] + weights[2] * c[k] + weights[3] * d[k];
+        }
+    }
+
+    /// Adds `scale` × the response to an impulse at `x_m` and at sample `start` of `target`, as far as it lies within;
+    /// the last `lead` lags of the period count as acausal.
+    pub(crate) fn add_at(&self, side: Side, x_m: f64, start: i64, lead: i64, scale: f64, target: &mut [f64]) {
+        let Some((weights, series)) = self.nodes_at(side, x_m) else { return };
+        let len = self.sampling.len as i64;
+        let w = weights.map(|w| w * scale);
+        let mut add = |first_lag: i64, end_lag: i64, offset: i64| {
+            let from = (start + first_lag).max(0);
+            let to = (start + end_lag).min(target.len() as i64);
+            if from >= to {
+                return;
+            }
+            let lags = (from - start + offset) as usize..(to - start + offset) as usize;
+            let [a, b, c, d] = series.map(|s| &s[lags.clone()]);
+            let out = &mut target[from as usize..to as usize];
+            for ((((o, a), b), c), d) in out.iter_mut().zip(a).zip(b).zip(c).zip(d) {
+                *o += w[0] * a + w[1] * b + w[2] * c + w[3] * d;
+            }
+        };
+        add(-lead, 0, len);
+        add(0, len - lead, 0);
+    }
+
+    /// Weights and responses of the four degrees of freedom on which a force at `x_m` acts; `None` outside the track.
+    fn nodes_at(&self, side: Side, x_m: f64) -> Option<([f64; 4], [&[f64]; 4])> {
         let position = (x_m - self.first_node_x_m) / self.step_m;
         if !(position >= 0.0 && position <= (self.n_nodes - 1) as f64) {
-            return;
+            return None;
         }
         let element = (position as usize).min(self.n_nodes - 2);
         let side = if side == Side::Crossing { 0 } else { 1 };
         let weights = beam::shape(self.shear_ratio[side][element], self.step_m, position - element as f64);
-        for (i, weight) in weights.iter().enumerate() {
-            let g = self.node_response(side, element + i / 2, i % 2);
-            for (o, value) in out.iter_mut().zip(g) {
-                *o += weight * value;
-            }
-        }
+        Some((weights, [0, 1, 2, 3].map(|i| self.node_response(side, element + i / 2, i % 2))))
     }
 }
 
-fn impulse_responses(receptance: &[Vec<[c64; 2]>], gain: &[c64], sampling: GreensSampling) -> Vec<f64> {
+/// Transforms of the nodes' impulse responses, one row of lines per degree of freedom.
+fn spectra(receptance: &[Vec<[c64; 2]>], gain: &[c64], sampling: GreensSampling) -> Vec<c64> {
     let n_nodes = receptance.first().map_or(0, Vec::len);
-    let mut out = Vec::with_capacity(n_nodes * 2 * sampling.len);
-    let mut spectrum = vec![c64::new(0.0, 0.0); sampling.len / 2 + 1];
+    let mut out = Vec::with_capacity(2 * n_nodes * receptance.len());
     for node in 0..n_nodes {
         for dof in 0..2 {
-            for (k, (row, g)) in receptance.iter().zip(gain).enumerate() {
-                spectrum[k] = row[node][dof] * g * sampling.rate_hz;
-            }
-            out.extend(irfft(&spectrum, sampling.len));
+            out.extend(receptance.iter().zip(gain).map(|(row, g)| row[node][dof] * g * sampling.rate_hz));
         }
+    }
+    out
+}
+
+/// Time series of the rows of `spectra`, later by `delay_samples`.
+fn time_series(spectra: &[c64], lines: usize, sampling: GreensSampling, delay_samples: f64) -> Vec<f64> {
+    let turn = -std::f64::consts::TAU * delay_samples / sampling.len as f64;
+    let delay: Vec<c64> = (0..lines).map(|k| c64::new(0.0, turn * k as f64).exp()).collect();
+    let mut out = Vec::with_capacity(spectra.len() / lines.max(1) * sampling.len);
+    let mut spectrum = vec![c64::new(0.0, 0.0); sampling.len / 2 + 1];
+    for row in spectra.chunks_exact(lines.max(1)) {
+        for ((s, v), d) in spectrum.iter_mut().zip(row).zip(&delay) {
+            *s = v * d;
+        }
+        out.extend(irfft(&spectrum, sampling.len));
     }
     out
 }

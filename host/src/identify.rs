@@ -1,15 +1,16 @@
 //! A site from recordings to calibrated model: speeds, ballast, axle times, common force profile.
 
 use crate::ballast::BallastParameters;
-use crate::ballast::evidence::{EvidenceFit, EvidenceProblem};
+use crate::ballast::evidence::{Calibration, EvidenceFit, DIFFERENCE, EvidenceProblem, TEMPERATURE, realign};
 use crate::ballast::quasi_static::{QuasiStatic, QuasiStaticFit};
 use crate::greens::{Chain, GreensFunctions, GreensSampling, Quantity};
-use crate::interaction::Interaction;
-use crate::inverse::hierarchy::{SitePassage, SitePosterior};
-use crate::inverse::{CommonProfile, InverseError, Prior, ProfileGrids};
+use crate::inverse::hierarchy::{SiteModel, SitePassage, SitePosterior};
+use crate::inverse::hyper::{FORCE, refine};
+use crate::inverse::{CommonProfile, Estimator, Excitation, InverseError, Prior, ProfileGrids, TrackModel};
 use crate::progress::Progress;
 use crate::reconstruct::{Recording, SpeedSearch, Timing, estimate_speed};
 use crate::recording::Site;
+use crate::signal::mean;
 use crate::track::{Mesh, Track};
 use crate::vehicle::{AxlePattern, static_wheel_force_n};
 
@@ -50,26 +51,42 @@ pub struct IdentifiedSite<'s> {
     pub quasi_static: QuasiStaticFit,
     /// Calibration by evidence.
     pub ballast: EvidenceFit,
-    /// Prior with the hyper-parameters that the evidence prefers.
+    /// State of the calibration: ballast, common irregularity, prior at the low sampling.
+    pub calibration: Calibration,
+    /// Prior of the forces at the full band.
     pub prior: Prior,
     /// Green's functions of the calibrated track.
     pub greens: GreensFunctions,
-    /// Wheel-track interaction of the calibrated track.
-    pub interaction: Interaction,
-    /// Irregularity that all wheels share.
+    /// The same with each of (ln p1, ln p2, p3) moved by a step.
+    pub nearby_greens: [(GreensFunctions, f64); 3],
+    /// Force deviation that all wheels share.
     pub profile: CommonProfile,
-    /// Ratio of the residuals to what the model allows, 1 for a perfect model: intervals are widened by it.
-    pub misfit_ratio: f64,
+    /// Posterior at the full band.
+    pub posterior: SitePosterior,
+}
+
+impl IdentifiedSite<'_> {
+    /// Window of a passage as an estimator expects it, for the group of axles that begins with axle `first`, m/s².
+    pub fn window(&self, index: usize, estimator: &Estimator, first: usize) -> Vec<f64> {
+        let rate = estimator.rate_hz;
+        let start_s =
+            self.timings[index].axle_s(self.pattern.offset_m[first]) - estimator.before as f64 / rate;
+        let band = self.greens.sampling.band_hz;
+        self.recordings[index].window(start_s, rate, estimator.len(), band)
+    }
 }
 
 /// Passages used for the search over ballast; all are used for everything else.
 const CALIBRATION_PASSAGES: usize = 8;
+/// Passages used for the hyper-parameters.
+const HYPER_PASSAGES: usize = 3;
 /// Start of the quasi-static fit: nominal outer stiffness, somewhat less under the crossing.
 const NOMINAL: BallastParameters = BallastParameters { p1_n_m2: 30e6, p2_n_m2: 25e6, p3: 0.4 };
-/// Spacing of the common profile on the two rails, metres; half the shortest wavelength in the band at 45 m/s.
+/// Spacing of the common force profile on the two rails, metres; half the shortest wavelength in the band at 45 m/s.
 const PROFILE_STEP_M: (f64, f64) = (0.05, 0.08);
-/// Rounds of re-linearising the axle positions.
-const ALIGN_ROUNDS: usize = 2;
+/// Position uncertainty left after the calibration, metres: common and per passage; relative error of the speed.
+const SHIFT_SD_M: (f64, f64) = (0.0003, 0.001);
+const SPEED_SD: f64 = 1e-4;
 
 /// Runs the identification.
 pub fn identify<'s>(site: &'s Site, progress: &dyn Progress) -> Result<IdentifiedSite<'s>, IdentifyError> {
@@ -101,27 +118,13 @@ pub fn identify<'s>(site: &'s Site, progress: &dyn Progress) -> Result<Identifie
             static_force_n: static_force_n[i],
         })
         .collect();
-    let prior = Prior::starting(direction);
-    let mut problem = EvidenceProblem {
-        track: &track,
-        direction,
-        pattern: &pattern,
-        prior: prior.clone(),
-        vehicle: &crossing.vehicle,
-    };
-    let ballast = calibrate(&mut problem, &quasi_static.parameters, &mut passages, progress)?;
-    let distribution = ballast.parameters.distribution(track.sleeper_x_m.len(), track.sensor_sleeper);
-    let greens = GreensFunctions::new(
-        &track,
-        &distribution,
-        GreensSampling::wide(),
-        Quantity::Acceleration,
-        &Chain::Corrected,
-    );
-    let interaction =
-        Interaction::new(&track, &distribution, &crossing.vehicle, prior.half_m, GreensSampling::wide());
-    let prior = Prior::each_wheel_for_itself(direction);
-    let profile = CommonProfile::zero(ProfileGrids::new(prior.half_m, PROFILE_STEP_M.0, PROFILE_STEP_M.1));
+    let problem =
+        EvidenceProblem { track: &track, direction, pattern: &pattern, vehicle: &crossing.vehicle };
+    let (calibration, ballast) = calibrate(&problem, &quasi_static.parameters, &mut passages, progress)?;
+    let greens = wide_greens(&track, &ballast.parameters);
+    let nearby_greens =
+        [0, 1, 2].map(|k| (wide_greens(&track, &ballast.parameters.moved(k, DIFFERENCE[k])), DIFFERENCE[k]));
+    let (prior, posterior) = common_force(&greens, direction, &pattern, &mut passages, progress)?;
     let timings = passages.iter().map(|p| p.timing).collect();
     Ok(IdentifiedSite {
         site,
@@ -129,16 +132,28 @@ pub fn identify<'s>(site: &'s Site, progress: &dyn Progress) -> Result<Identifie
         static_force_n,
         quasi_static,
         ballast,
+        calibration,
         prior,
-        profile,
-        misfit_ratio: 1.0,
+        profile: posterior.profile.clone(),
+        posterior,
         track,
         pattern,
         direction,
         recordings,
         greens,
-        interaction,
+        nearby_greens,
     })
+}
+
+fn wide_greens(track: &Track, ballast: &BallastParameters) -> GreensFunctions {
+    let distribution = ballast.distribution(track.sleeper_x_m.len(), track.sensor_sleeper);
+    GreensFunctions::new(
+        track,
+        &distribution,
+        GreensSampling::wide(),
+        Quantity::Acceleration,
+        &Chain::Corrected,
+    )
 }
 
 fn speeds(
@@ -158,41 +173,74 @@ fn speeds(
         .collect()
 }
 
-/// Moves the axle times of all passages to their posterior mean.
-fn realign(passages: &mut [SitePassage], posterior: &SitePosterior) {
-    for (passage, shift) in passages.iter_mut().zip(&posterior.shift_m) {
-        passage.timing.first_axle_s += shift / passage.timing.speed_m_s;
-    }
+/// Every n-th passage, `count` of them or a few less.
+fn spread_out<'p>(passages: &[SitePassage<'p>], count: usize) -> Vec<SitePassage<'p>> {
+    passages.iter().step_by(passages.len().div_ceil(count).max(1)).copied().collect()
 }
 
 fn calibrate(
-    problem: &mut EvidenceProblem,
+    problem: &EvidenceProblem,
     quasi_static: &BallastParameters,
     passages: &mut [SitePassage],
     progress: &dyn Progress,
-) -> Result<EvidenceFit, IdentifyError> {
+) -> Result<(Calibration, EvidenceFit), IdentifyError> {
     progress.begin("ballast by evidence", 4);
     // The quasi-static fit errs towards a soft centre (the dynamic force leaks into its band).
     let start = BallastParameters {
         p2_n_m2: (1.5 * quasi_static.p2_n_m2).max(0.3 * quasi_static.p1_n_m2),
-        p3: 0.5,
+        p3: 0.4,
         ..*quasi_static
     };
-    for _ in 0..ALIGN_ROUNDS {
-        let posterior = problem.posterior(&start, passages)?;
-        realign(passages, &posterior);
-    }
+    let mut state = Calibration::starting(start, problem.direction);
+    let mut some = spread_out(passages, CALIBRATION_PASSAGES);
+    problem.converge(&mut state, &mut some, 3)?;
     progress.step();
-    let every = passages.len().div_ceil(CALIBRATION_PASSAGES).max(1);
-    let some: Vec<SitePassage> = passages.iter().step_by(every).copied().collect();
-    problem.prior = problem.refined(&start, &some)?;
+    state.prior = problem.refined(&state, &spread_out(&some, HYPER_PASSAGES))?;
     progress.step();
-    let fit = problem.fit(&[start], &some)?;
+    problem.converge(&mut state, &mut some, 10)?;
     progress.step();
-    for _ in 0..ALIGN_ROUNDS {
-        let posterior = problem.posterior(&fit.parameters, passages)?;
-        realign(passages, &posterior);
-    }
+    let fit = problem.converge(&mut state, passages, 3)?;
     progress.step();
-    Ok(fit)
+    Ok((state, fit))
+}
+
+/// Force profile that all wheels share at the full band, with the axle times.
+fn common_force(
+    greens: &GreensFunctions,
+    direction: f64,
+    pattern: &AxlePattern,
+    passages: &mut [SitePassage],
+    progress: &dyn Progress,
+) -> Result<(Prior, SitePosterior), InverseError> {
+    progress.begin("common force profile", 3);
+    let start = Prior::common_force(direction);
+    let mean_speed = mean(&passages.iter().map(|p| p.timing.speed_m_s).collect::<Vec<_>>());
+    let grids = ProfileGrids::force(start.half_m, PROFILE_STEP_M.0, PROFILE_STEP_M.1, mean_speed);
+    let posterior = |prior: &Prior, profile: &CommonProfile, passages: &[SitePassage]| {
+        SiteModel {
+            model: TrackModel { greens, excitation: Excitation::Force },
+            moved: Vec::new(),
+            direction,
+            pattern,
+            prior,
+            profile,
+            common_shift_sd_m: SHIFT_SD_M.0,
+            passage_shift_sd_m: SHIFT_SD_M.1,
+            speed_sd: SPEED_SD,
+            temperature: TEMPERATURE,
+        }
+        .posterior(passages)
+    };
+    let zero = CommonProfile::zero(grids);
+    let some = spread_out(passages, HYPER_PASSAGES);
+    let evidence = |prior: &Prior| Ok(posterior(prior, &zero, &some)?.log_evidence);
+    let (prior, _) = refine(&start, &FORCE, &evidence)?;
+    progress.step();
+    // The profile that a few passages show is good enough to linearise about.
+    let rough = posterior(&prior, &zero, &some)?.profile;
+    progress.step();
+    let all = posterior(&prior, &rough, passages)?;
+    realign(passages, &all);
+    progress.step();
+    Ok((prior, all))
 }

@@ -1,30 +1,62 @@
-//! Wheel and track joined at the contact: how the irregularity and the varying deflection of the track make the
-//! contact force deviate from the static one.
+//! Wheels and track joined at the contacts: how the irregularity and the varying deflection of the track make the
+//! contact forces of a bogie deviate from the static ones.
 //!
 //! With the wheel pressed down by Q and positive displacement down, the deviation d = f − Q moves the wheel by −α_w d,
 //! the rail by G d and compresses the contact by C_H d; a wheel in contact follows rail plus irregularity, so
 //! (α_w + G + C_H) d = −(z + w_s), with z the irregularity and w_s the variation of the deflection under the static load.
-//! The contact is linearised at Q (loss of contact is left to the wheels' own deviations).
+//! The contact is linearised at Q (loss of contact is left to the wheels' own deviations). The four contacts of a bogie
+//! are coupled by the sleepers, by the wheelsets' roll and by the bogie frame; the two wheelsets of a bogie are too far
+//! apart to feel each other through the rail.
 
-use faer::linalg::solvers::Solve as _;
+use faer::linalg::solvers::{PartialPivLu, Solve as _};
 use faer::{Mat, c64};
 
 use crate::greens::GreensSampling;
 use crate::greens::moving_response::RailGreens;
 use crate::recording::Vehicle;
 use crate::signal::{CubicSpline, irfft, taper};
-use crate::track::{Side, Track};
+use crate::track::Track;
 
-/// Interaction of a wheel with the calibrated track on both rails.
+/// Interaction of a bogie with the calibrated track.
 #[derive(Clone, Debug)]
 pub struct Interaction {
-    rails: [RailGreens; 2],
-    /// Deflection under the wheel per static force on both wheels, m/N, along x.
-    static_compliance: [CubicSpline; 2],
-    /// Impulse response of the wheelset at one contact, per lag (periodic), m/(N s).
-    wheel: Vec<f64>,
+    /// `[read][loaded]`, crossing and stock rail.
+    rails: [[RailGreens; 2]; 2],
+    /// Deflection under a wheel per static force on its companion's wheels, m/N, along x: `[rail][companion at larger x]`.
+    companion: [[CubicSpline; 2]; 2],
+    bogie: BogieResponses,
+    sampling: GreensSampling,
     hertz_constant_n_m15: f64,
+    axle_spacing_m: f64,
 }
+
+/// Displacement of a contact per force impulse on contacts of the same bogie, on the same rail and on the other one.
+#[derive(Clone, Debug)]
+struct BogieResponses {
+    /// Of the same wheelset, periodic time series, metres per newton at one sample.
+    same_wheelset: [Vec<f64>; 2],
+    /// Of the other wheelset, spectra of the same.
+    other_wheelset: [Vec<c64>; 2],
+}
+
+/// The four contacts of a bogie moving at a speed: [`Motion::solve`] turns irregularities into force deviations.
+pub struct Motion<'a> {
+    interaction: &'a Interaction,
+    position_m: &'a [f64],
+    direction: f64,
+    static_force_n: f64,
+    /// Factorised compliance of the contacts, in the order leading crossing, leading stock, trailing crossing, trailing
+    /// stock; every one on its wheel's own clock.
+    compliance: PartialPivLu<f64>,
+    /// Deflection of each rail under the wheel's own constant load on both rails, per newton, `[crossing, stock]`.
+    moving_load: [Vec<f64>; 2],
+}
+
+/// Axle (0 leading, 1 trailing) and rail (0 crossing, 1 stock).
+const CONTACTS: [(i8, usize); 4] = [(0, 0), (0, 1), (1, 0), (1, 1)];
+
+/// One column set per contact: `[leading, trailing][crossing, stock]`, positions × cases.
+pub type Contacts = [[Mat<f64>; 2]; 2];
 
 impl Interaction {
     /// For forces within `half_m` of x = 0.
@@ -35,78 +67,230 @@ impl Interaction {
         half_m: f64,
         sampling: GreensSampling,
     ) -> Self {
-        let rail = |side| RailGreens::new(track, ballast_n_m2, side, half_m, sampling);
         Self {
-            rails: [rail(Side::Crossing), rail(Side::Stock)],
-            static_compliance: static_compliance(track, ballast_n_m2, half_m),
-            wheel: wheel_response(vehicle, sampling),
+            rails: RailGreens::of_both_rails(track, ballast_n_m2, half_m, sampling),
+            companion: companion_compliance(track, ballast_n_m2, half_m, vehicle.axle_spacing_m),
+            bogie: BogieResponses::new(vehicle, sampling),
+            sampling,
             hertz_constant_n_m15: vehicle.hertz_constant_n_m15,
+            axle_spacing_m: vehicle.axle_spacing_m,
         }
     }
 
-    /// Force deviation per irregularity at the positions of a wheel, one per time step: N/m, square.
-    pub fn force_per_irregularity(&self, side: Side, position_m: &[f64], static_force_n: f64) -> Mat<f64> {
-        let rail = &self.rails[index(side)];
-        let mut compliance = rail.kernel(position_m);
-        let (n, len) = (position_m.len(), self.wheel.len());
-        let dt = 1.0 / rail.sampling.rate_hz;
+    /// Wheels at `position_m`, one per time step on their own clocks, in the order of passing.
+    pub fn moving<'a>(
+        &'a self,
+        position_m: &'a [f64],
+        direction: f64,
+        speed_m_s: f64,
+        static_force_n: f64,
+    ) -> Motion<'a> {
+        let n = position_m.len();
+        let delay = self.axle_spacing_m / speed_m_s * self.sampling.rate_hz;
         let contact = 1.0 / (1.5 * self.hertz_constant_n_m15.powf(2.0 / 3.0) * static_force_n.cbrt());
-        for j in 0..n {
-            for k in 0..n {
-                // The response is periodic; a slow train has more positions than the period.
-                compliance[(k, j)] += self.wheel[(k as i64 - j as i64).rem_euclid(len as i64) as usize] * dt;
+        // The trailing wheelset's clock is late: what happens to it comes to the leading one later.
+        let to_leading = self.bogie.other_wheelset(delay);
+        let to_trailing = self.bogie.other_wheelset(-delay);
+        let mut compliance = Mat::zeros(4 * n, 4 * n);
+        let mut moving_load = [vec![0.0; n], vec![0.0; n]];
+        let reach = position_m.iter().fold(0.0, |m: f64, x| m.max(x.abs()));
+        let coming =
+            |i: usize| if i < n / 2 { 1.0 - taper(reach - position_m[i].abs(), 0.0, RAMP_M) } else { 1.0 };
+        for (read_axle, read) in CONTACTS {
+            for (loaded_axle, loaded) in CONTACTS {
+                let series = match loaded_axle - read_axle {
+                    0 => &self.bogie.same_wheelset[usize::from(read != loaded)],
+                    1 => &to_leading[usize::from(read != loaded)],
+                    _ => &to_trailing[usize::from(read != loaded)],
+                };
+                let mut block = toeplitz(series, n);
+                if read_axle == loaded_axle {
+                    let rail = self.rails[read][loaded].kernel(position_m);
+                    if read_axle == 0 {
+                        for (k, deflection) in moving_load[read].iter_mut().enumerate() {
+                            *deflection += (0..n).map(|j| coming(j) * rail[(k, j)]).sum::<f64>();
+                        }
+                    }
+                    block += rail;
+                }
+                let (row, column) = (read_axle as usize * 2 + read, loaded_axle as usize * 2 + loaded);
+                compliance.submatrix_mut(row * n, column * n, n, n).copy_from(&block);
             }
-            compliance[(j, j)] += contact;
         }
-        let inverse = compliance.partial_piv_lu().solve(Mat::<f64>::identity(n, n));
-        -inverse
-    }
-
-    /// Variation of the deflection under the static load along the positions, metres, mean removed: a constant
-    /// deflection moves the whole vehicle and makes no force.
-    pub fn static_deflection_m(&self, side: Side, position_m: &[f64], static_force_n: f64) -> Vec<f64> {
-        let spline = &self.static_compliance[index(side)];
-        let values: Vec<f64> = position_m.iter().map(|x| static_force_n * spline.at(*x)).collect();
-        let mean = crate::signal::mean(&values);
-        values.iter().map(|v| v - mean).collect()
+        for i in 0..4 * n {
+            compliance[(i, i)] += contact;
+        }
+        let compliance = compliance.partial_piv_lu();
+        Motion { interaction: self, position_m, direction, static_force_n, compliance, moving_load }
     }
 }
 
-fn index(side: Side) -> usize {
-    match side {
-        Side::Crossing => 0,
-        Side::Stock => 1,
+/// Displacement at own sample k per force at own sample j, from a periodic impulse response.
+fn toeplitz(series: &[f64], n: usize) -> Mat<f64> {
+    Mat::from_fn(n, n, |k, j| series[(k as i64 - j as i64).rem_euclid(series.len() as i64) as usize])
+}
+
+impl Motion<'_> {
+    /// Force deviations, newtons per unit of the columns, for irregularities (metres per unit) under the contacts.
+    pub fn solve(&self, irregularity_m: &Contacts) -> Contacts {
+        let n = self.position_m.len();
+        let cases = irregularity_m[0][0].ncols();
+        let mut all = Mat::zeros(4 * n, cases);
+        for (k, contact) in irregularity_m.iter().flatten().enumerate() {
+            all.submatrix_mut(k * n, 0, n, cases).copy_from(contact);
+        }
+        let force = -self.compliance.solve(&all);
+        [0, 1].map(|axle: usize| {
+            [0, 1].map(|rail: usize| force.submatrix((2 * axle + rail) * n, 0, n, cases).to_owned())
+        })
+    }
+
+    /// Force deviation of every contact for irregularities under that contact alone, `[crossing, stock]`.
+    pub fn solve_alone(&self, irregularity_m: &[Mat<f64>; 2]) -> Contacts {
+        let n = self.position_m.len();
+        [0, 1].map(|axle: usize| {
+            [0, 1].map(|rail: usize| {
+                let (first, cases) = ((2 * axle + rail) * n, irregularity_m[rail].ncols());
+                let mut all = Mat::zeros(4 * n, cases);
+                all.submatrix_mut(first, 0, n, cases).copy_from(&irregularity_m[rail]);
+                let force = self.compliance.solve(&all);
+                -force.submatrix(first, 0, n, cases)
+            })
+        })
+    }
+
+    /// Variation of the deflection under the constant load along the positions, metres, relative to the ends, where it
+    /// fades in: a constant deflection moves the whole vehicle and makes no force. The ballast's damping makes the
+    /// deflection lag behind that of a standing load by several milliseconds. One column.
+    pub fn load_deflection_m(&self) -> Contacts {
+        let n = self.position_m.len();
+        let reach = self.position_m.iter().fold(0.0, |m: f64, x| m.max(x.abs()));
+        [0, 1].map(|axle: usize| {
+            // The companion of the leading wheel is behind it: at smaller x in facing direction.
+            let companion_ahead_in_x = (axle == 1) == (self.direction > 0.0);
+            [0, 1].map(|rail: usize| {
+                let spline =
+                    &self.interaction.companion[rail][usize::from(companion_ahead_in_x)];
+                let value: Vec<f64> = (0..n)
+                    .map(|i| {
+                        self.static_force_n * (self.moving_load[rail][i] + spline.at(self.position_m[i]))
+                    })
+                    .collect();
+                let from_end = |i: usize| reach - self.position_m[i].abs();
+                let ends: Vec<f64> =
+                    (0..n).filter(|i| (RAMP_M..END_M).contains(&from_end(*i))).map(|i| value[i]).collect();
+                let level = crate::signal::mean(&ends);
+                Mat::from_fn(n, 1, |i, _| (value[i] - level) * (1.0 - taper(from_end(i), RAMP_M, END_M)))
+            })
+        })
     }
 }
 
-/// Deflection of each rail under unit static forces on both rails at the same x.
-fn static_compliance(track: &Track, ballast_n_m2: &[f64], half_m: f64) -> [CubicSpline; 2] {
-    let nodes: Vec<usize> = (0..track.node_x_m.len())
-        .filter(|i| track.node_x_m[*i].abs() <= half_m + 2.0 * track.step_m)
-        .collect();
+/// Ends of the stretch of unknown forces: the load comes on over the first, the deflection fades in up to the second.
+const RAMP_M: f64 = 0.6;
+const END_M: f64 = 1.8;
+
+/// Deflection of each rail under a wheel of a bogie per static force on both wheels of its companion:
+/// `[rail][companion at larger x]`. The companion is far enough away for its standing load to do.
+fn companion_compliance(
+    track: &Track,
+    ballast_n_m2: &[f64],
+    half_m: f64,
+    axle_spacing_m: f64,
+) -> [[CubicSpline; 2]; 2] {
+    let reach = half_m + axle_spacing_m + 2.0 * track.step_m;
+    let nodes: Vec<usize> =
+        (0..track.node_x_m.len()).filter(|i| track.node_x_m[*i].abs() <= reach).collect();
     let x: Vec<f64> = nodes.iter().map(|i| track.node_x_m[*i]).collect();
-    let deflection = track.static_deflection_under_axle(ballast_n_m2, &nodes);
-    [0, 1].map(|rail| {
-        let y: Vec<f64> = deflection.iter().map(|d| d[rail]).collect();
-        CubicSpline::new(&x, &y).unwrap_or_else(CubicSpline::zero)
+    let deflection = track.static_deflections_under_axle(ballast_n_m2, &nodes);
+    [0, 1].map(|rail: usize| {
+        let shapes: Vec<Option<CubicSpline>> =
+            deflection.iter().map(|d| CubicSpline::new(&x, &d[rail])).collect();
+        [-1.0, 1.0].map(|toward: f64| {
+            // By reciprocity, what this wheel's load does at the companion is what the companion's does here.
+            let at = |(shape, x): (&Option<CubicSpline>, &f64)| {
+                shape.as_ref().map_or(0.0, |s| s.at(x + toward * axle_spacing_m))
+            };
+            let y: Vec<f64> = shapes.iter().zip(&x).map(at).collect();
+            CubicSpline::new(&x, &y).unwrap_or_else(CubicSpline::zero)
+        })
     })
 }
 
-/// Band-limited impulse response of a rigid wheelset on its primary suspension (heave and roll, bogie frame at rest)
-/// at one contact.
-fn wheel_response(vehicle: &Vehicle, sampling: GreensSampling) -> Vec<f64> {
-    let (k, c) =
-        (2.0 * vehicle.primary_stiffness_per_axle_box_n_m, 2.0 * vehicle.primary_damping_per_axle_box_ns_m);
-    let lever = vehicle.axle_box_half_distance_m.powi(2);
-    let contact = vehicle.contact_half_distance_m.powi(2);
-    let mut spectrum = vec![c64::new(0.0, 0.0); sampling.len / 2 + 1];
-    for (value, f) in spectrum.iter_mut().zip(sampling.frequencies_hz()) {
-        let w = std::f64::consts::TAU * f;
-        let suspension = c64::new(k, w * c);
-        let heave = c64::new(1.0, 0.0) / (suspension - w * w * vehicle.wheelset_mass_kg);
-        let roll =
-            c64::new(contact, 0.0) / (suspension * lever - w * w * vehicle.wheelset_roll_inertia_kg_m2);
-        *value = (heave + roll) * (taper(f, sampling.band_hz[0], sampling.band_hz[1]) * sampling.rate_hz);
+/// The car body holds the bogie frame with a constant force; a soft secondary suspension of this natural frequency
+/// and damping stands for it, so that the responses decay within their period, which is [`BOGIE_PERIODS`] times that of
+/// the sampling.
+const SECONDARY_HZ: f64 = 0.1;
+const SECONDARY_DAMPING: f64 = 0.7;
+const BOGIE_PERIODS: usize = 32;
+
+impl BogieResponses {
+    /// Two rigid wheelsets (heave and roll) on primary suspensions under a rigid frame (heave, pitch and roll).
+    fn new(vehicle: &Vehicle, sampling: GreensSampling) -> Self {
+        let sampling = GreensSampling { len: BOGIE_PERIODS * sampling.len, ..sampling };
+        let mut spectra: [Vec<c64>; 4] = std::array::from_fn(|_| Vec::with_capacity(sampling.len / 2));
+        for f in sampling.frequencies_hz() {
+            let gain = taper(f, sampling.band_hz[0], sampling.band_hz[1]);
+            for (s, c) in spectra.iter_mut().zip(bogie_compliance(vehicle, std::f64::consts::TAU * f)) {
+                s.push(c * gain);
+            }
+        }
+        let [own, across, along, diagonal] = spectra.map(|mut s| {
+            s.resize(sampling.len / 2 + 1, c64::new(0.0, 0.0));
+            s
+        });
+        Self {
+            same_wheelset: [irfft(&own, sampling.len), irfft(&across, sampling.len)],
+            other_wheelset: [along, diagonal],
+        }
     }
-    irfft(&spectrum, sampling.len)
+
+    /// Series of the other wheelset, later by `delay` samples.
+    fn other_wheelset(&self, delay: f64) -> [Vec<f64>; 2] {
+        let len = self.same_wheelset[0].len();
+        let turn = c64::new(0.0, -std::f64::consts::TAU * delay / len as f64).exp();
+        [0, 1].map(|rail: usize| {
+            let mut phasor = c64::new(1.0, 0.0);
+            let delayed: Vec<c64> = self.other_wheelset[rail]
+                .iter()
+                .map(|v| {
+                    let value = v * phasor;
+                    phasor *= turn;
+                    value
+                })
+                .collect();
+            irfft(&delayed, len)
+        })
+    }
+}
+
+/// Displacement of a contact per force on it, on the contact across, along and diagonally opposite, m/N.
+fn bogie_compliance(vehicle: &Vehicle, omega: f64) -> [c64; 4] {
+    let real = |v: f64| c64::new(v, 0.0);
+    let square = omega * omega;
+    let box_stiffness = c64::new(
+        2.0 * vehicle.primary_stiffness_per_axle_box_n_m,
+        2.0 * omega * vehicle.primary_damping_per_axle_box_ns_m,
+    );
+    let own_frequency = std::f64::consts::TAU * SECONDARY_HZ;
+    let held = c64::new(own_frequency * own_frequency, 2.0 * SECONDARY_DAMPING * own_frequency * omega);
+    // Both wheelsets in phase or in opposition; `inertia` that the frame brings into the motion, seen at the wheelsets.
+    let mode = |mass: f64, stiffness: c64, inertia: f64, carried: f64| {
+        let frame = held * carried + stiffness * 2.0 - real(square * inertia);
+        real(1.0) / (stiffness - real(square * mass) - stiffness * stiffness * 2.0 / frame)
+    };
+    let half = vehicle.axle_spacing_m / 2.0;
+    let (m, frame) = (vehicle.wheelset_mass_kg, vehicle.bogie_frame_mass_kg);
+    let heave = mode(m, box_stiffness, frame, frame + 2.0 * m);
+    let pitch_inertia = vehicle.bogie_frame_pitch_inertia_kg_m2 / (half * half);
+    let pitch = mode(m, box_stiffness, pitch_inertia, pitch_inertia + 2.0 * m);
+    let roll_stiffness = box_stiffness * vehicle.axle_box_half_distance_m.powi(2);
+    let i = vehicle.wheelset_roll_inertia_kg_m2;
+    let frame_roll = vehicle.bogie_frame_roll_inertia_kg_m2;
+    let roll = mode(i, roll_stiffness, frame_roll, frame_roll + 2.0 * i);
+    let twist = real(1.0) / (roll_stiffness - real(square * i));
+    let lever = vehicle.contact_half_distance_m.powi(2);
+    let (heave_own, heave_other) = ((heave + pitch) * 0.5, (heave - pitch) * 0.5);
+    let (roll_own, roll_other) = ((roll + twist) * (0.5 * lever), (roll - twist) * (0.5 * lever));
+    [heave_own + roll_own, heave_own - roll_own, heave_other + roll_other, heave_other - roll_other]
 }

@@ -11,7 +11,9 @@ pub mod hierarchy;
 pub mod hyper;
 mod prior;
 mod profile;
+mod wheel;
 
-pub use estimator::{Estimator, GroupGeometry, InverseError};
+pub use estimator::{Estimator, GroupGeometry, InverseError, expected_window};
 pub use prior::{Prior, Spread};
-pub use profile::{CommonProfile, PositionGrid, ProfileGrids};
+pub use profile::{CommonProfile, PositionGrid, ProfileGrids, WheelClass};
+pub use wheel::{Excitation, Running, TrackModel, mean_deviations_n};

@@ -9,13 +9,12 @@ use cpcm_shared::sample::{FULL_SCALE_CODE, M_S2_PER_CODE, RAW_RATE_HZ};
 use faer::Mat;
 use rayon::prelude::*;
 
-use crate::forces::{LOW_PASS_HZ, all_wheel_forces};
+use crate::forces::LOW_PASS_HZ;
 use crate::greens::{Chain, GreensFunctions, GreensSampling, Quantity};
 use crate::identify::IdentifiedSite;
 use crate::inverse::hierarchy::{GroupKind, kinds};
-use crate::inverse::{Estimator, GroupGeometry, InverseError, Prior};
-use crate::irregularity::on_grid;
-use crate::signal::{AntiAlias, CubicSpline};
+use crate::inverse::{Estimator, Excitation, GroupGeometry, InverseError, Prior, Running, TrackModel};
+use crate::signal::AntiAlias;
 
 /// Why a package cannot be made.
 #[derive(Debug, thiserror::Error)]
@@ -51,6 +50,8 @@ pub enum KernelError {
 const BIN_STEP: f64 = 0.05;
 /// Bins reach this far beyond the slowest and the fastest recorded train.
 const BIN_MARGIN: f64 = 0.03;
+/// Rate of the node's windows, Hz.
+const NODE_RATE_HZ: f64 = RAW_RATE_HZ as f64 / decimate::DECIMATION as f64;
 /// Step of the force grid, metres.
 const GRID_STEP_M: f64 = 0.025;
 /// Singular directions of the operator that change no force by more than this (one standard deviation) are left out,
@@ -69,13 +70,12 @@ pub fn package(site: &IdentifiedSite, done: &(dyn Fn() + Sync)) -> Result<Vec<u8
     let greens = node_greens(site);
     let speeds = bin_speeds(site);
     let grid = grid(&site.prior);
-    let mean_force = mean_force(site)?;
     let parts: Vec<Vec<Parts>> = speeds
         .par_iter()
         .map(|v| {
             let bin = kinds
                 .iter()
-                .map(|kind| operator(site, &greens, kind, *v, &grid, &mean_force))
+                .map(|kind| operator(site, &greens, kind, *v, &grid))
                 .collect::<Result<_, _>>();
             done();
             bin
@@ -101,27 +101,6 @@ pub fn package(site: &IdentifiedSite, done: &(dyn Fn() + Sync)) -> Result<Vec<u8
     Ok(out)
 }
 
-/// Mean force deviation of all recorded wheels, newtons, along x: it makes the expected window, to which the node aligns
-/// the axles, look like the recorded ones.
-fn mean_force(site: &IdentifiedSite) -> Result<CubicSpline, InverseError> {
-    let forces = all_wheel_forces(site, &|| ())?;
-    let reach = site.prior.half_m;
-    let count = (2.0 * reach / GRID_STEP_M).round() as usize + 1;
-    let x: Vec<f64> = (0..count).map(|i| -reach + i as f64 * GRID_STEP_M).collect();
-    let mut sum = vec![0.0; count];
-    let mut wheels = 0.0;
-    for (passage, static_force_n) in forces.iter().zip(&site.static_force_n) {
-        for force in passage {
-            wheels += 1.0;
-            for (s, f) in sum.iter_mut().zip(on_grid(&force.position_m, &force.force_n, &x)) {
-                *s += f - static_force_n;
-            }
-        }
-    }
-    let mean: Vec<f64> = sum.iter().map(|s| s / f64::max(wheels, 1.0)).collect();
-    Ok(CubicSpline::new(&x, &mean).unwrap_or_else(CubicSpline::zero))
-}
-
 /// Number of bins [`package`] makes, for progress.
 pub fn bin_count(site: &IdentifiedSite) -> usize {
     bin_speeds(site).len()
@@ -135,7 +114,7 @@ fn node_greens(site: &IdentifiedSite) -> GreensFunctions {
         taps: decimate::TAPS.iter().map(|t| f64::from(*t)).collect(),
         raw_rate_hz: sensor.sample_rate_hz,
     };
-    let sampling = GreensSampling { band_hz: [430.0, 498.0], ..GreensSampling::wide() };
+    let sampling = GreensSampling { rate_hz: NODE_RATE_HZ, len: 512, band_hz: [430.0, 498.0] };
     let distribution =
         site.ballast.parameters.distribution(site.track.sleeper_x_m.len(), site.track.sensor_sleeper);
     GreensFunctions::new(&site.track, &distribution, sampling, Quantity::Acceleration, &chain)
@@ -169,23 +148,24 @@ fn operator(
     kind: &GroupKind,
     speed_m_s: f64,
     grid_m: &[f64],
-    mean_force: &CubicSpline,
 ) -> Result<Parts, InverseError> {
     let geometry = GroupGeometry {
-        direction: site.direction,
-        speed_m_s,
+        running: Running {
+            direction: site.direction,
+            speed_m_s,
+            static_force_n: site.static_force_n[0],
+        },
         axle_offset_m: &kind.offsets.own,
         train_offset_m: &kind.offsets.train,
-        static_force_n: site.static_force_n[0],
-        mean_force: Some(mean_force),
     };
-    let estimator = Estimator::new(greens, &geometry, &site.prior, &site.interaction, &site.profile)?;
-    let gains = estimator.gains(grid_m, LOW_PASS_HZ);
+    let model = TrackModel { greens, excitation: Excitation::Force };
+    let estimator = Estimator::new(&model, &geometry, &site.prior, &site.profile)?;
+    let gains = estimator.gains(grid_m, LOW_PASS_HZ, &site.profile);
     let (g, n) = (grid_m.len(), estimator.len());
     let gain = Mat::from_fn(gains.len() * g, n, |i, k| gains[i / g].gain[(i % g, k)]);
     let base: Vec<f64> = gains.iter().flat_map(|a| a.base_n.clone()).collect();
     let half_width_n =
-        gains.iter().flat_map(|a| a.sd_n.iter().map(|s| HALF_WIDTH_90 * site.misfit_ratio * s)).collect();
+        gains.iter().flat_map(|a| a.sd_n.iter().map(|s| HALF_WIDTH_90 * s)).collect();
     let expand = leading_directions(&gain, &estimator);
     let project = expand.transpose() * &gain;
     let expected = Mat::from_fn(n, 1, |k, _| estimator.expected_m_s2[k]);

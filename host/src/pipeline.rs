@@ -111,10 +111,9 @@ fn distribution(identified: &IdentifiedSite) -> Vec<f64> {
 
 fn rail_greens(identified: &IdentifiedSite) -> RailGreens {
     let sampling = identified.greens.sampling;
-    RailGreens::new(
+    RailGreens::of_crossing_rail(
         &identified.track,
         &distribution(identified),
-        Side::Crossing,
         identified.prior.half_m,
         sampling,
     )

@@ -8,15 +8,22 @@ pub use bessel::AntiAlias;
 pub use filter::{brick_band, taper};
 pub use spline::CubicSpline;
 
+use std::cell::RefCell;
+
 use faer::c64;
 use realfft::RealFftPlanner;
+
+thread_local! {
+    /// Plans are kept per thread: making one costs more than using it.
+    static PLANNER: RefCell<RealFftPlanner<f64>> = RefCell::new(RealFftPlanner::new());
+}
 
 /// One-sided spectrum of a real signal (unnormalised forward transform): `n/2 + 1` values.
 pub fn rfft(signal: &[f64]) -> Vec<c64> {
     if signal.is_empty() {
         return Vec::new();
     }
-    let plan = RealFftPlanner::<f64>::new().plan_fft_forward(signal.len());
+    let plan = PLANNER.with_borrow_mut(|p| p.plan_fft_forward(signal.len()));
     let mut input = signal.to_vec();
     let mut spectrum = plan.make_output_vec();
     // The lengths come from the plan itself, so the transform cannot refuse them.
@@ -31,7 +38,7 @@ pub fn irfft(spectrum: &[c64], n: usize) -> Vec<f64> {
     if n == 0 {
         return Vec::new();
     }
-    let plan = RealFftPlanner::<f64>::new().plan_fft_inverse(n);
+    let plan = PLANNER.with_borrow_mut(|p| p.plan_fft_inverse(n));
     let mut input = plan.make_input_vec();
     let shared = input.len().min(spectrum.len());
     input[..shared].copy_from_slice(&spectrum[..shared]);

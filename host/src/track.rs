@@ -222,8 +222,30 @@ impl Track {
             .collect()
     }
 
-    /// Static deflection of both rails at a node under unit forces on both rails there, m/N: `[crossing, stock]`.
-    pub fn static_deflection_under_axle(&self, ballast_n_m2: &[f64], nodes: &[usize]) -> Vec<[f64; 2]> {
+    /// Receptances between all pairs of neighbouring nodes `first` … `last` of both rails, m/N, per frequency:
+    /// `[i][j − i]` for j ≥ i, nodes counted from `first`; each entry is `[read][loaded]` for (crossing, stock) at node i
+    /// and at node j.
+    pub fn rail_receptances(
+        &self,
+        frequency_hz: &[f64],
+        ballast_n_m2: &[f64],
+        first: usize,
+        last: usize,
+    ) -> Vec<Vec<Vec<[[c64; 2]; 2]>>> {
+        frequency_hz
+            .par_iter()
+            .map(|f| {
+                let system = self.system(std::f64::consts::TAU * f, ballast_n_m2);
+                let vertical = |b: &Block<4>| [[b[0][0], b[0][2]], [b[2][0], b[2][2]]];
+                let blocks = system.factor.inverse_blocks(first, last);
+                blocks.iter().map(|row| row.iter().map(vertical).collect()).collect()
+            })
+            .collect()
+    }
+
+    /// Static deflection of both rails at `nodes` under unit forces on both rails at each of them, m/N:
+    /// `[loaded][crossing, stock][read]`.
+    pub fn static_deflections_under_axle(&self, ballast_n_m2: &[f64], nodes: &[usize]) -> Vec<[Vec<f64>; 2]> {
         let system = self.system(0.0, ballast_n_m2);
         nodes
             .iter()
@@ -232,7 +254,7 @@ impl Track {
                 x[*node][0] = c64::new(1.0, 0.0);
                 x[*node][2] = c64::new(1.0, 0.0);
                 system.factor.solve(&mut x);
-                [x[*node][0].re, x[*node][2].re]
+                [0, 2].map(|dof| nodes.iter().map(|n| x[*n][dof].re).collect())
             })
             .collect()
     }

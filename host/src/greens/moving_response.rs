@@ -6,7 +6,7 @@ use rayon::prelude::*;
 
 use super::GreensSampling;
 use crate::signal::{irfft, taper};
-use crate::track::{Side, Track};
+use crate::track::Track;
 
 /// Impulse responses between the nodes of one rail around the crossing.
 #[derive(Clone, Debug)]
@@ -26,43 +26,39 @@ const LEAD: usize = 16;
 const MEMORY_S: f64 = 0.15;
 
 impl RailGreens {
-    /// Responses of one rail within `half_m` of x = 0.
-    pub fn new(
+    /// Responses within `half_m` of x = 0, `[read][loaded]` for the crossing and the stock rail.
+    pub fn of_both_rails(
         track: &Track,
         ballast_n_m2: &[f64],
-        side: Side,
+        half_m: f64,
+        sampling: GreensSampling,
+    ) -> [[Self; 2]; 2] {
+        let last_node = track.node_x_m.len() - 1;
+        let within = |x: f64| x.abs() <= half_m + 1.01 * track.step_m;
+        let first = track.node_x_m.iter().position(|x| within(*x)).unwrap_or(0);
+        let last = track.node_x_m.iter().rposition(|x| within(*x)).unwrap_or(last_node);
+        let receptance = track.rail_receptances(&sampling.frequencies_hz(), ballast_n_m2, first, last);
+        let n_nodes = last - first + 1;
+        [0, 1].map(|read: usize| {
+            [0, 1].map(|loaded: usize| Self {
+                sampling,
+                first_x_m: track.node_x_m[first],
+                step_m: track.step_m,
+                n_nodes,
+                response: impulse_responses(&receptance, [read, loaded], n_nodes, sampling),
+            })
+        })
+    }
+
+    /// Responses of the crossing rail to forces on it.
+    pub fn of_crossing_rail(
+        track: &Track,
+        ballast_n_m2: &[f64],
         half_m: f64,
         sampling: GreensSampling,
     ) -> Self {
-        let nodes: Vec<usize> = (0..track.node_x_m.len())
-            .filter(|i| track.node_x_m[*i].abs() <= half_m + 1.01 * track.step_m)
-            .collect();
-        let frequencies = sampling.frequencies_hz();
-        let receptance = track.rail_receptance(&frequencies, ballast_n_m2, side, &nodes, &nodes);
-        let n = nodes.len();
-        let lags = LEAD + (MEMORY_S * sampling.rate_hz) as usize;
-        let pairs: Vec<(usize, usize)> = (0..n).flat_map(|i| (0..=i).map(move |j| (i, j))).collect();
-        let [pass, stop] = sampling.band_hz;
-        let series: Vec<Vec<f64>> = pairs
-            .par_iter()
-            .map(|(loaded, read)| {
-                let mut spectrum = vec![c64::new(0.0, 0.0); sampling.len / 2 + 1];
-                for (k, f) in frequencies.iter().enumerate() {
-                    spectrum[k] = receptance[k][*loaded][*read] * (taper(*f, pass, stop) * sampling.rate_hz);
-                }
-                let full = irfft(&spectrum, sampling.len);
-                (0..lags).map(|i| full[(i + sampling.len - LEAD) % sampling.len]).collect()
-            })
-            .collect();
-        let mut response = vec![0.0; lags * n * n];
-        for ((loaded, read), values) in pairs.iter().zip(series) {
-            for (lag, value) in values.into_iter().enumerate() {
-                response[(lag * n + loaded) * n + read] = value;
-                response[(lag * n + read) * n + loaded] = value;
-            }
-        }
-        let first_x_m = nodes.first().map_or(0.0, |i| track.node_x_m[*i]);
-        Self { sampling, first_x_m, step_m: track.step_m, n_nodes: n, response }
+        let [[crossing, _], _] = Self::of_both_rails(track, ballast_n_m2, half_m, sampling);
+        crossing
     }
 
     /// Kernel of the moving response: deflection at the wheel (m) per force (N) at the same positions x, one per time
@@ -107,4 +103,43 @@ impl RailGreens {
         ];
         Some((i - 1, w))
     }
+}
+
+/// `[lag + LEAD][loaded][read]` from the upper triangles of the receptances of every frequency.
+fn impulse_responses(
+    receptance: &[Vec<Vec<[[c64; 2]; 2]>>],
+    [read, loaded]: [usize; 2],
+    n: usize,
+    sampling: GreensSampling,
+) -> Vec<f64> {
+    let lags = LEAD + (MEMORY_S * sampling.rate_hz) as usize;
+    let [pass, stop] = sampling.band_hz;
+    let gain: Vec<f64> =
+        sampling.frequencies_hz().iter().map(|f| taper(*f, pass, stop) * sampling.rate_hz).collect();
+    let series = |i: usize, j: usize, [read, loaded]: [usize; 2]| {
+        let mut spectrum = vec![c64::new(0.0, 0.0); sampling.len / 2 + 1];
+        for ((value, rows), g) in spectrum.iter_mut().zip(receptance).zip(&gain) {
+            *value = rows[i][j - i][read][loaded] * *g;
+        }
+        let full = irfft(&spectrum, sampling.len);
+        (0..lags).map(|k| full[(k + sampling.len - LEAD) % sampling.len]).collect::<Vec<f64>>()
+    };
+    let pairs: Vec<(usize, usize)> = (0..n).flat_map(|i| (i..n).map(move |j| (i, j))).collect();
+    // Read at i and loaded at j; and, by reciprocity with the rails exchanged, read at j and loaded at i.
+    let both: Vec<[Vec<f64>; 2]> = pairs
+        .par_iter()
+        .map(|(i, j)| {
+            let there = series(*i, *j, [read, loaded]);
+            let back = if read == loaded { there.clone() } else { series(*i, *j, [loaded, read]) };
+            [there, back]
+        })
+        .collect();
+    let mut response = vec![0.0; lags * n * n];
+    for ((i, j), [there, back]) in pairs.iter().zip(both) {
+        for lag in 0..lags {
+            response[(lag * n + i) * n + j] = back[lag];
+            response[(lag * n + j) * n + i] = there[lag];
+        }
+    }
+    response
 }

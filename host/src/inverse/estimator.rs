@@ -6,11 +6,9 @@ use faer::linalg::solvers::Solve as _;
 use faer::{Accum, Mat, MatRef, Par};
 
 use super::Prior;
-use super::profile::CommonProfile;
-use crate::greens::GreensFunctions;
-use crate::greens::moving::{WheelPath, constant_force_response, kernel};
-use crate::interaction::Interaction;
-use crate::signal::CubicSpline;
+use super::profile::{CommonProfile, WheelClass};
+use super::wheel::{Basis, Running, SIDES, TrackModel, Wheel, mean_deviations_n, passing};
+use crate::greens::moving::{PassingResponse, own_clock_kernel, own_positions};
 use crate::track::Side;
 
 /// Time after the last wheel has left the reach during which its response is still used, seconds.
@@ -37,19 +35,12 @@ pub enum InverseError {
 /// Axles of a group, as they follow one another over the sensor.
 #[derive(Clone, Copy, Debug)]
 pub struct GroupGeometry<'a> {
-    /// +1 facing, -1 trailing.
-    pub direction: f64,
-    /// Speed, m/s.
-    pub speed_m_s: f64,
+    /// Direction, speed and load.
+    pub running: Running,
     /// Offsets of the group's axles behind its first, metres.
     pub axle_offset_m: &'a [f64],
     /// Offsets of all axles of the train behind the group's first (negative for those in front), metres.
     pub train_offset_m: &'a [f64],
-    /// Static wheel force, newtons.
-    pub static_force_n: f64,
-    /// Mean force deviation of earlier wheels on the crossing side as a function of x, newtons; it takes the place of what
-    /// the common irregularity predicts. `None` when nothing is known.
-    pub mean_force: Option<&'a CubicSpline>,
 }
 
 /// Window and model of one axle group: what the sensor is expected to show and how it varies.
@@ -58,29 +49,27 @@ pub struct Estimator {
     pub rate_hz: f64,
     /// Window samples before the moment at which the group's first axle is at x = 0.
     pub before: usize,
-    /// Expected window under the prior mean, m/s².
+    /// Expected window under the common profile, m/s².
     pub expected_m_s2: Vec<f64>,
-    static_force_n: f64,
+    /// Its time derivative, m/s³.
+    pub expected_slope_m_s3: Vec<f64>,
+    running: Running,
     prior: Prior,
     factor: Llt<f64>,
     log_det_half: f64,
+    wheel: Wheel,
     axles: Vec<AxleModel>,
-    /// Window per metre of the common irregularity, window length × profile points.
+    /// Window per unit of the common profile, window length × profile entries.
     profile_response: Mat<f64>,
 }
 
 struct AxleModel {
-    path: WheelPath,
-    first_sample: i64,
-    /// Factor of the covariance of the wheel's own deviation at the force samples, N.
-    root_n: Mat<f64>,
-    /// kernel · root: window per whitened force deviation.
+    class: WheelClass,
+    /// kernel · root: window per whitened force deviation of the crossing side.
     shaped: Mat<f64>,
     /// Window of the wheel's static force.
     static_m_s2: Vec<f64>,
-    /// Window of static force and mean deviation.
-    expected_m_s2: Vec<f64>,
-    /// Mean deviation at each force sample, newtons.
+    /// Mean deviation at each force sample of the crossing side, newtons.
     mean_n: Vec<f64>,
 }
 
@@ -90,8 +79,10 @@ pub struct AxleGain {
     pub gain: Mat<f64>,
     /// Force if the window is as expected, newtons.
     pub base_n: Vec<f64>,
-    /// Posterior standard deviation, newtons.
+    /// Posterior standard deviation with the common profile known, newtons.
     pub sd_n: Vec<f64>,
+    /// Force on the grid per entry of the common profile at given window, grid points × profile entries.
+    pub profile: Mat<f64>,
 }
 
 impl AxleGain {
@@ -108,63 +99,53 @@ impl AxleGain {
 }
 
 impl Estimator {
-    /// Window extent for a group: while any of its wheels is within the window reach, and the decay after. The forces
-    /// are unknown over a longer stretch than that, so that what the window holds is never blamed on too few of them.
-    fn extent(geometry: &GroupGeometry, prior: &Prior, rate_hz: f64) -> (usize, usize) {
-        let reach_s = prior.window_m / geometry.speed_m_s;
-        let before = (reach_s * rate_hz).ceil() as usize;
-        let last = geometry.axle_offset_m.last().copied().unwrap_or(0.0);
-        let after = (last / geometry.speed_m_s + reach_s + DECAY_S) * rate_hz;
-        (before, before + after.ceil() as usize + 1)
-    }
-
     /// Builds the model of one group.
     pub fn new(
-        greens: &GreensFunctions,
+        model: &TrackModel,
         geometry: &GroupGeometry,
         prior: &Prior,
-        interaction: &Interaction,
-        mean: &CommonProfile,
+        common: &CommonProfile,
     ) -> Result<Self, InverseError> {
-        if !(geometry.speed_m_s.is_finite() && geometry.speed_m_s > 0.0) {
-            return Err(InverseError::Speed(geometry.speed_m_s));
+        let running = geometry.running;
+        if !(running.speed_m_s.is_finite() && running.speed_m_s > 0.0) {
+            return Err(InverseError::Speed(running.speed_m_s));
         }
-        let rate_hz = greens.sampling.rate_hz;
-        let (before, len) = Self::extent(geometry, prior, rate_hz);
+        let rate_hz = model.greens.sampling.rate_hz;
+        let window = Window::of(geometry, prior, rate_hz);
+        let len = window.len;
         let bad = || InverseError::Covariance { len, noise_m_s2: prior.noise_m_s2 };
-        let path = |offset: f64| WheelPath {
-            direction: geometry.direction,
-            speed_m_s: geometry.speed_m_s,
-            time_at_origin_s: before as f64 / rate_hz + offset / geometry.speed_m_s,
-        };
+        let wheel = Wheel::new(model, &running, prior, common).ok_or_else(bad)?;
+        let expectation = Expectation::new(model, geometry, prior, common, window);
         let mut covariance = noise_covariance(prior, len);
-        let mut profile_response = Mat::zeros(len, mean.grids.len());
-        let context = Context {
-            greens,
-            interaction,
-            static_force_n: geometry.static_force_n,
-            mean_force: geometry.mean_force,
-            prior,
-            mean,
-        };
-        let axles: Vec<AxleModel> = geometry
-            .axle_offset_m
-            .iter()
-            .map(|o| AxleModel::new(&context, path(*o), &mut covariance, &mut profile_response))
-            .collect::<Option<_>>()
-            .ok_or_else(bad)?;
-        let expected_m_s2 = expected_window(greens, geometry, &path, &axles, len);
+        let mut profile_response = Mat::zeros(len, common.grids.len());
+        let mut axles = Vec::with_capacity(geometry.axle_offset_m.len());
+        for (i, offset) in geometry.axle_offset_m.iter().enumerate() {
+            let class = common.grids.class(running.speed_m_s, i);
+            let time_s = window.time_at_origin_s(*offset, &running, rate_hz);
+            let shaped =
+                add_axle(model, &wheel, common, class, time_s, &mut covariance, &mut profile_response);
+            let static_m_s2 = expectation.standing.window(&[time_s], len);
+            add_outer(&mut covariance, &static_m_s2, prior.load_sd.powi(2));
+            axles.push(AxleModel {
+                class,
+                shaped,
+                static_m_s2,
+                mean_n: expectation.mean_n[usize::from(!class.leading)].clone(),
+            });
+        }
         let factor = covariance.llt(faer::Side::Lower).map_err(|_| bad())?;
         let l = factor.L();
         let log_det_half = (0..len).map(|i| l[(i, i)].ln()).sum();
         Ok(Self {
             rate_hz,
-            before,
-            expected_m_s2,
-            static_force_n: geometry.static_force_n,
+            before: window.before,
+            expected_m_s2: expectation.sum(geometry, common, rate_hz, PassingResponse::window),
+            expected_slope_m_s3: expectation.sum(geometry, common, rate_hz, PassingResponse::slope),
+            running,
             prior: prior.clone(),
             factor,
             log_det_half,
+            wheel,
             axles,
             profile_response,
         })
@@ -194,7 +175,7 @@ impl Estimator {
         self.log_det_half
     }
 
-    /// Response of the window to the common profile: window length × profile points, m/s² per metre.
+    /// Response of the window to the common profile: window length × profile entries, m/s² per unit of the profile.
     pub fn profile_response(&self) -> MatRef<'_, f64> {
         self.profile_response.as_ref()
     }
@@ -204,113 +185,244 @@ impl Estimator {
         self.factor.L()
     }
 
-    /// Covariance⁻¹ · `columns`.
-    pub fn whiten(&self, columns: &Mat<f64>) -> Mat<f64> {
-        self.factor.solve(columns)
+    /// L⁻¹ · `columns`, with L the Cholesky factor of the window's covariance; in place.
+    pub fn whiten(&self, columns: &mut Mat<f64>) {
+        faer::linalg::triangular_solve::solve_lower_triangular_in_place(
+            self.factor.L(),
+            columns.as_mut(),
+            Par::Seq,
+        );
+    }
+
+    /// Forces of every axle for a window, low-passed at `low_pass_hz` (brick wall), at positions `grid_m`: what
+    /// [`Self::gains`] gives, without the matrices.
+    pub fn forces_n(&self, window_m_s2: &[f64], grid_m: &[f64], low_pass_hz: f64) -> Vec<Vec<f64>> {
+        let n = self.len();
+        let residual = Mat::from_fn(n, 1, |i, _| window_m_s2[i] - self.expected_m_s2[i]);
+        let solved = self.factor.solve(&residual);
+        let low_pass = self.low_pass(grid_m, low_pass_hz);
+        self.axles
+            .iter()
+            .map(|axle| {
+                let root = &self.wheel.root_n[usize::from(!axle.class.leading)][0];
+                let mut deviation = root * (axle.shaped.transpose() * &solved);
+                for (i, mean) in axle.mean_n.iter().enumerate() {
+                    deviation[(i, 0)] += mean;
+                }
+                let load: f64 = (0..n).map(|k| axle.static_m_s2[k] * solved[(k, 0)]).sum();
+                let static_n = self.running.static_force_n * (1.0 + self.prior.load_sd.powi(2) * load);
+                let low = &low_pass * &deviation;
+                (0..grid_m.len()).map(|i| static_n + low[(i, 0)]).collect()
+            })
+            .collect()
     }
 
     /// Linear maps to the force of every axle, low-passed at `low_pass_hz` (brick wall), at positions `grid_m`.
-    pub fn gains(&self, grid_m: &[f64], low_pass_hz: f64) -> Vec<AxleGain> {
-        self.axles.iter().map(|axle| self.axle_gain(axle, grid_m, low_pass_hz)).collect()
+    pub fn gains(&self, grid_m: &[f64], low_pass_hz: f64, common: &CommonProfile) -> Vec<AxleGain> {
+        let low_pass = self.low_pass(grid_m, low_pass_hz);
+        self.axles.iter().map(|axle| self.axle_gain(axle, &low_pass, common)).collect()
     }
 
-    fn axle_gain(&self, axle: &AxleModel, grid_m: &[f64], low_pass_hz: f64) -> AxleGain {
-        let (m, n, g) = (axle.mean_n.len(), self.len(), grid_m.len());
-        let low_pass = axle.low_pass(grid_m, low_pass_hz, self.rate_hz);
-        let whitened = &low_pass * &axle.root_n;
+    fn axle_gain(&self, axle: &AxleModel, low_pass: &Mat<f64>, common: &CommonProfile) -> AxleGain {
+        let (m, n, g) = (axle.mean_n.len(), self.len(), low_pass.nrows());
+        let whitened = low_pass * &self.wheel.root_n[usize::from(!axle.class.leading)][0];
         let load_variance = self.prior.load_sd.powi(2);
+        let static_force_n = self.running.static_force_n;
         // Covariance between the forces on the grid and the window.
-        let mut cross = Mat::from_fn(g, n, |_, k| load_variance * self.static_force_n * axle.static_m_s2[k]);
+        let mut cross = Mat::from_fn(g, n, |_, k| load_variance * static_force_n * axle.static_m_s2[k]);
         matmul(&mut cross, Accum::Add, &whitened, axle.shaped.transpose(), 1.0, Par::Seq);
         let gain = self.factor.solve(cross.transpose()).transpose().to_owned();
         let base_n = (0..g)
-            .map(|i| self.static_force_n + (0..m).map(|j| low_pass[(i, j)] * axle.mean_n[j]).sum::<f64>())
+            .map(|i| static_force_n + (0..m).map(|j| low_pass[(i, j)] * axle.mean_n[j]).sum::<f64>())
             .collect();
         let sd_n = (0..g)
             .map(|i| {
                 let prior: f64 = (0..m).map(|j| whitened[(i, j)].powi(2)).sum();
                 let explained: f64 = (0..n).map(|k| cross[(i, k)] * gain[(i, k)]).sum();
-                (prior + load_variance * self.static_force_n.powi(2) - explained).max(0.0).sqrt()
+                (prior + load_variance * static_force_n.powi(2) - explained).max(0.0).sqrt()
             })
             .collect();
-        AxleGain { gain, base_n, sd_n }
-    }
-}
-
-/// What all axles of a window have in common.
-struct Context<'a> {
-    greens: &'a GreensFunctions,
-    interaction: &'a Interaction,
-    static_force_n: f64,
-    mean_force: Option<&'a CubicSpline>,
-    prior: &'a Prior,
-    mean: &'a CommonProfile,
-}
-
-impl AxleModel {
-    /// Adds the axle's share to the covariance of the window and to its response to the common profile.
-    fn new(
-        context: &Context,
-        path: WheelPath,
-        covariance: &mut Mat<f64>,
-        profile_response: &mut Mat<f64>,
-    ) -> Option<Self> {
-        let Context { greens, interaction, static_force_n, mean_force, prior, mean } = *context;
-        let (rate, len) = (greens.sampling.rate_hz, covariance.nrows());
-        let range = path.samples_within(prior.half_m, rate);
-        let positions: Vec<f64> = range.clone().map(|j| path.x_m(j as f64 / rate)).collect();
-        let step = 1.0 / (rate * prior.correlation_s);
-        let own_root = |side: Side| {
-            let sd_n: Vec<f64> = positions.iter().map(|x| prior.own_sd_n(side, *x)).collect();
-            prior.covariance_factor(&positions, &sd_n, step)
+        let mut profile = match &self.wheel.basis {
+            Basis::Full(contacts) => low_pass * &contacts[usize::from(!axle.class.leading)][0],
+            Basis::Splines([crossing, _]) => {
+                let mut all = Mat::zeros(g, common.grids.len());
+                add_parts(&mut all, &(low_pass * crossing), common, SIDES[0], axle.class);
+                all
+            }
         };
-        let (root_n, stock_root_n) = (own_root(Side::Crossing)?, own_root(Side::Stock)?);
-        let mut static_m_s2 = vec![0.0; len];
-        for side in [Side::Crossing, Side::Stock] {
-            for (s, r) in static_m_s2.iter_mut().zip(constant_force_response(greens, side, &path, len)) {
-                *s += static_force_n * r;
-            }
-        }
-        let mut expected_m_s2 = static_m_s2.clone();
-        let mut add_side = |side: Side, root: &Mat<f64>| {
-            let matrix = kernel(greens, side, &path, prior.half_m, len);
-            let follow = interaction.force_per_irregularity(side, &positions, static_force_n);
-            let deflection = interaction.static_deflection_m(side, &positions, static_force_n);
-            let excitation =
-                Mat::from_fn(positions.len(), 1, |j, _| deflection[j] + mean.at(side, positions[j]));
-            let mut mean_n = &follow * &excitation;
-            if let (Side::Crossing, Some(force)) = (side, mean_force) {
-                for (j, x) in positions.iter().enumerate() {
-                    mean_n[(j, 0)] = force.at(*x);
-                }
-            }
-            let response = &matrix * &follow;
-            for (j, x) in positions.iter().enumerate() {
-                add_scaled(&mut expected_m_s2, matrix.col_as_slice(j), mean_n[(j, 0)]);
-                for (entry, weight) in mean.grids.entries(side, *x) {
-                    add_scaled(profile_response.col_as_slice_mut(entry), response.col_as_slice(j), weight);
-                }
-            }
-            let shaped = &matrix * root;
-            add_square(covariance, &shaped);
-            (shaped, mean_n)
-        };
-        let (shaped, mean) = add_side(Side::Crossing, &root_n);
-        add_side(Side::Stock, &stock_root_n);
-        add_outer(covariance, &static_m_s2, prior.load_sd.powi(2));
-        let mean_n = (0..positions.len()).map(|j| mean[(j, 0)]).collect();
-        Some(Self { path, first_sample: *range.start(), root_n, shaped, static_m_s2, expected_m_s2, mean_n })
+        matmul(&mut profile, Accum::Add, &gain, &self.profile_response, -1.0, Par::Seq);
+        AxleGain { gain, base_n, sd_n, profile }
     }
 
     /// Brick-wall low-pass of the force samples, evaluated at the positions `grid_m`: band-limited interpolation.
-    fn low_pass(&self, grid_m: &[f64], low_pass_hz: f64, rate_hz: f64) -> Mat<f64> {
-        let scale = 2.0 * low_pass_hz / rate_hz;
-        Mat::from_fn(grid_m.len(), self.mean_n.len(), |i, j| {
-            let t = self.path.time_at_origin_s + self.path.direction * grid_m[i] / self.path.speed_m_s;
-            let u = 2.0 * low_pass_hz * (t - (self.first_sample + j as i64) as f64 / rate_hz);
+    fn low_pass(&self, grid_m: &[f64], low_pass_hz: f64) -> Mat<f64> {
+        let scale = 2.0 * low_pass_hz / self.rate_hz;
+        Mat::from_fn(grid_m.len(), self.wheel.position_m.len(), |i, j| {
+            let t = self.running.direction * grid_m[i] / self.running.speed_m_s;
+            let u = 2.0 * low_pass_hz * (t - (self.wheel.first_sample + j as i64) as f64 / self.rate_hz);
             let pi_u = std::f64::consts::PI * u;
             scale * if pi_u.abs() < 1e-9 { 1.0 } else { pi_u.sin() / pi_u }
         })
+    }
+}
+
+/// Extent of the window of a group.
+#[derive(Clone, Copy, Debug)]
+struct Window {
+    before: usize,
+    len: usize,
+}
+
+impl Window {
+    /// While any wheel of the group is within the window reach, and the decay after. The forces are unknown over a longer
+    /// stretch than that, so that what the window holds is never blamed on too few of them.
+    fn of(geometry: &GroupGeometry, prior: &Prior, rate_hz: f64) -> Self {
+        let speed = geometry.running.speed_m_s;
+        let reach_s = prior.window_m / speed;
+        let before = (reach_s * rate_hz).ceil() as usize;
+        let last = geometry.axle_offset_m.last().copied().unwrap_or(0.0);
+        let after = (last / speed + reach_s + DECAY_S) * rate_hz;
+        Self { before, len: before + after.ceil() as usize + 1 }
+    }
+
+    fn time_at_origin_s(&self, offset_m: f64, running: &Running, rate_hz: f64) -> f64 {
+        self.before as f64 / rate_hz + offset_m / running.speed_m_s
+    }
+}
+
+/// Response to passing wheels under the mean forces.
+struct Expectation {
+    window: Window,
+    /// Static force only.
+    standing: PassingResponse,
+    /// Leading and trailing wheels of bogies with their mean deviations.
+    running: [PassingResponse; 2],
+    /// Mean deviations of leading and trailing wheels on the crossing side, newtons.
+    mean_n: [Vec<f64>; 2],
+}
+
+impl Expectation {
+    fn new(
+        model: &TrackModel,
+        geometry: &GroupGeometry,
+        prior: &Prior,
+        common: &CommonProfile,
+        window: Window,
+    ) -> Self {
+        let running = &geometry.running;
+        let (first, position_m) = own_positions(
+            running.direction,
+            running.speed_m_s,
+            prior.half_m,
+            model.greens.sampling.rate_hz,
+        );
+        let deviations =
+            mean_deviations_n(model, running, common, &position_m).map(|wheel| (first, wheel));
+        let of = |deviation| passing(model, running, deviation, window.len);
+        Self {
+            window,
+            standing: of(None),
+            running: [of(Some(&deviations[0])), of(Some(&deviations[1]))],
+            mean_n: deviations.map(|(_, [crossing, _])| crossing),
+        }
+    }
+
+    /// Static forces of the whole train, mean deviations of the group's own axles.
+    fn sum(
+        &self,
+        geometry: &GroupGeometry,
+        common: &CommonProfile,
+        rate_hz: f64,
+        of: fn(&PassingResponse, &[f64], usize) -> Vec<f64>,
+    ) -> Vec<f64> {
+        let running = &geometry.running;
+        let time = |o: &f64| self.window.time_at_origin_s(*o, running, rate_hz);
+        let own = geometry.axle_offset_m;
+        let others: Vec<f64> =
+            geometry.train_offset_m.iter().filter(|o| !own.contains(o)).map(time).collect();
+        let mut sum = of(&self.standing, &others, self.window.len);
+        for (which, response) in self.running.iter().enumerate() {
+            let times: Vec<f64> = own
+                .iter()
+                .enumerate()
+                .filter(|(i, _)| usize::from(!common.grids.class(running.speed_m_s, *i).leading) == which)
+                .map(|(_, o)| time(o))
+                .collect();
+            for (s, r) in sum.iter_mut().zip(of(response, &times, self.window.len)) {
+                *s += r;
+            }
+        }
+        sum
+    }
+}
+
+/// Window of a group under the mean forces alone, m/s²: what [`Estimator::expected_m_s2`] holds, without the estimator.
+pub fn expected_window(
+    model: &TrackModel,
+    geometry: &GroupGeometry,
+    prior: &Prior,
+    common: &CommonProfile,
+) -> Vec<f64> {
+    let rate_hz = model.greens.sampling.rate_hz;
+    let window = Window::of(geometry, prior, rate_hz);
+    Expectation::new(model, geometry, prior, common, window).sum(
+        geometry,
+        common,
+        rate_hz,
+        PassingResponse::window,
+    )
+}
+
+/// Adds an axle's share to the covariance of the window and to its response to the common profile; returns the
+/// window per whitened force deviation of the crossing side.
+fn add_axle(
+    model: &TrackModel,
+    wheel: &Wheel,
+    common: &CommonProfile,
+    class: WheelClass,
+    time_at_origin_s: f64,
+    covariance: &mut Mat<f64>,
+    profile_response: &mut Mat<f64>,
+) -> Mat<f64> {
+    let len = covariance.nrows();
+    let samples = time_at_origin_s * model.greens.sampling.rate_hz;
+    let whole = samples.floor();
+    let reach_m = wheel.position_m.iter().fold(0.0, |m: f64, x| m.max(x.abs()));
+    let greens = model.greens.delayed(samples - whole, reach_m);
+    let mut crossing = Mat::zeros(0, 0);
+    for (rail, side) in SIDES.into_iter().enumerate() {
+        let first = wheel.first_sample + whole as i64;
+        let kernel = own_clock_kernel(&greens, side, &wheel.position_m, first, len);
+        match &wheel.basis {
+            Basis::Full(contacts) => {
+                let basis = &contacts[usize::from(!class.leading)][rail];
+                matmul(profile_response.as_mut(), Accum::Add, &kernel, basis, 1.0, Par::Seq);
+            }
+            Basis::Splines(splines) => {
+                add_parts(profile_response, &(&kernel * &splines[rail]), common, side, class);
+            }
+        }
+        let shaped = &kernel * &wheel.root_n[usize::from(!class.leading)][rail];
+        add_square(covariance, &shaped);
+        if side == SIDES[0] {
+            crossing = shaped;
+        }
+    }
+    crossing
+}
+
+/// Adds the response to the splines of one rail to all parts of the profile on it.
+fn add_parts(
+    target: &mut Mat<f64>,
+    response: &Mat<f64>,
+    common: &CommonProfile,
+    side: Side,
+    class: WheelClass,
+) {
+    for (part, weight) in common.grids.parts_of(side, class) {
+        for c in 0..response.ncols() {
+            add_scaled(target.col_as_slice_mut(part.first + c), response.col_as_slice(c), weight);
+        }
     }
 }
 
@@ -349,30 +461,4 @@ fn add_square(covariance: &mut Mat<f64>, shaped: &Mat<f64>) {
         1.0,
         Par::Seq,
     );
-}
-
-/// Window under the prior mean: static forces of the whole train, mean deviations of the group's own axles.
-fn expected_window(
-    greens: &GreensFunctions,
-    geometry: &GroupGeometry,
-    path: &dyn Fn(f64) -> WheelPath,
-    axles: &[AxleModel],
-    len: usize,
-) -> Vec<f64> {
-    let mut expected = vec![0.0; len];
-    let own = geometry.axle_offset_m;
-    for offset in geometry.train_offset_m.iter().filter(|o| !own.contains(o)) {
-        for side in [Side::Crossing, Side::Stock] {
-            let response = constant_force_response(greens, side, &path(*offset), len);
-            for (e, r) in expected.iter_mut().zip(&response) {
-                *e += geometry.static_force_n * r;
-            }
-        }
-    }
-    for axle in axles {
-        for (e, r) in expected.iter_mut().zip(&axle.expected_m_s2) {
-            *e += r;
-        }
-    }
-    expected
 }

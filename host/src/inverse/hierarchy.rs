@@ -1,20 +1,20 @@
-//! All passages of a site at once: the force profile that all wheels share, the position of every passage, and the
-//! evidence of the track model, with all forces integrated out.
+//! All passages of a site at once: what all wheels share, the ballast, the position of every passage, and the evidence
+//! of the model, with all forces integrated out.
 //!
-//! Window j of passage i: a = s + A c − (X + x_i) ȧ/v + e, with s the response to the static forces, c the common
-//! profile, X and x_i the common and the passage's position error, and e Gaussian with the covariance of the wheels'
-//! own deviations, their load and the noise. Everything but the track model is linear and Gaussian, so the posterior
-//! of (c, X, x_i) and the evidence are closed forms.
+//! Window j of passage i, linearised about the current ballast θ₀ and axle times:
+//! a = s + A c + D (θ − θ₀) − (X + x_i) ȧ/v + e, with s the response to static forces and mean deflection, c the common
+//! profile, D the derivative of the expected window with respect to the ballast, X and x_i the common and the passage's
+//! position error, and e Gaussian with the covariance of the wheels' own deviations, their load and the noise. The
+//! posterior of (c, X, θ, x_i) and the evidence are closed forms; a few linearisations reach the optimum (Gauss-Newton).
 
-use faer::Mat;
-use faer::linalg::matmul::matmul;
+use faer::linalg::matmul::triangular;
 use faer::linalg::solvers::Solve as _;
-use faer::{Accum, Par};
+use faer::{Accum, Mat, Par};
 use rayon::prelude::*;
 
-use super::{CommonProfile, Estimator, GroupGeometry, InverseError, Prior, ProfileGrids};
-use crate::greens::GreensFunctions;
-use crate::interaction::Interaction;
+use super::estimator::expected_window;
+use super::wheel::{Running, TrackModel};
+use super::{CommonProfile, Estimator, GroupGeometry, InverseError, Prior};
 use crate::reconstruct::{Recording, Timing};
 use crate::vehicle::{AxleGroup, AxlePattern};
 
@@ -29,25 +29,40 @@ pub struct SitePassage<'a> {
     pub static_force_n: f64,
 }
 
-/// Model of a site with given ballast.
+/// A parameter of the track: the model with it moved by a small step.
+#[derive(Clone, Copy)]
+pub struct Moved<'a> {
+    /// Track with the parameter moved.
+    pub model: TrackModel<'a>,
+    /// How far, in the parameter's unit.
+    pub step: f64,
+    /// Prior mean relative to the current value, and standard deviation.
+    pub prior: (f64, f64),
+}
+
+/// Model of a site at the current values of its parameters.
 #[derive(Clone)]
 pub struct SiteModel<'a> {
-    /// Green's functions of the calibrated track.
-    pub greens: &'a GreensFunctions,
-    /// Wheel-track interaction of the calibrated track.
-    pub interaction: &'a Interaction,
+    /// Track.
+    pub model: TrackModel<'a>,
+    /// The same with each unknown parameter moved.
+    pub moved: Vec<Moved<'a>>,
     /// +1 facing, -1 trailing.
     pub direction: f64,
     /// Axle pattern of the trains.
     pub pattern: &'a AxlePattern,
     /// Prior of forces and noise.
     pub prior: &'a Prior,
-    /// Grids of the common profile.
-    pub grids: ProfileGrids,
+    /// Common profile about which is linearised.
+    pub profile: &'a CommonProfile,
     /// Prior standard deviation of the common position error X, metres.
     pub common_shift_sd_m: f64,
     /// Prior standard deviation of each passage's position error, metres.
     pub passage_shift_sd_m: f64,
+    /// Prior standard deviation of each passage's speed, relative.
+    pub speed_sd: f64,
+    /// Divisor of the evidence on X and θ: in how many windows the errors of the model repeat themselves.
+    pub temperature: f64,
 }
 
 /// What the passages of a site together say.
@@ -56,175 +71,331 @@ pub struct SitePosterior {
     pub log_evidence: f64,
     /// Posterior mean of the common profile.
     pub profile: CommonProfile,
-    /// Posterior covariance of the profile, m², and of the common position error in the last row and column (m).
+    /// Posterior covariance of (c, X, θ), tempered.
     pub covariance: Mat<f64>,
     /// Common position error X, metres: the wheels are at x = 0 later by X/v than assumed.
     pub common_shift_m: f64,
+    /// Standard deviation of the position error averaged over the passages, metres.
+    pub mean_shift_sd_m: f64,
+    /// Change of the track parameters θ − θ₀.
+    pub parameters: Vec<f64>,
     /// Position error of every passage, common part included, metres.
     pub shift_m: Vec<f64>,
-    /// Standard deviation of the passage's own part, metres.
-    pub shift_sd_m: Vec<f64>,
+    /// Relative error of every passage's duration: the train takes longer by this share than assumed.
+    pub stretch: Vec<f64>,
+    /// Covariance of the passage's own position error (metres) and stretch.
+    pub own_covariance: Vec<[[f64; 2]; 2]>,
+    /// Residuals at the posterior mean, RMS relative to what the model allows (1 for a perfect model).
+    pub misfit_ratio: f64,
 }
 
-/// Linear-Gaussian statistics of one passage, its own position error eliminated.
+/// Unknowns that each passage has for itself: position and stretch.
+const OWN: usize = 2;
+
+/// Linear-Gaussian statistics of one passage, its own unknowns eliminated.
 struct Statistics {
-    /// Information matrix of (c, X).
+    /// Information matrix of (c, X, θ), lower triangle.
     information: Mat<f64>,
     /// Information vector.
     vector: Mat<f64>,
     log_likelihood: f64,
-    /// Own position error: precision, its coupling to (c, X), and its information value.
-    own_precision: f64,
+    /// Covariance of the own unknowns, their coupling to (c, X, θ), and their information values.
+    own_covariance: [[f64; 2]; 2],
     own_coupling: Mat<f64>,
-    own_value: f64,
+    own_value: [f64; 2],
+    /// Whitened squared residual that the own unknowns leave.
+    quadratic: f64,
+    samples: usize,
 }
 
 impl SiteModel<'_> {
     /// Geometry of a group of axles of a passage.
     pub fn geometry<'g>(&self, offsets: &'g GroupOffsets, passage: &SitePassage) -> GroupGeometry<'g> {
         GroupGeometry {
-            direction: self.direction,
-            speed_m_s: passage.timing.speed_m_s,
+            running: Running {
+                direction: self.direction,
+                speed_m_s: passage.timing.speed_m_s,
+                static_force_n: passage.static_force_n,
+            },
             axle_offset_m: &offsets.own,
             train_offset_m: &offsets.train,
-            static_force_n: passage.static_force_n,
-            mean_force: None,
         }
+    }
+
+    /// Unknowns that all passages share: profile, position, parameters.
+    fn shared(&self) -> usize {
+        self.profile.grids.len() + 1 + self.moved.len()
     }
 
     /// Posterior and evidence over `passages`.
     pub fn posterior(&self, passages: &[SitePassage]) -> Result<SitePosterior, InverseError> {
         let statistics: Vec<Statistics> =
             passages.par_iter().map(|p| self.statistics(p)).collect::<Result<_, _>>()?;
-        let m = self.grids.len() + 1;
-        let mut prior = Mat::zeros(m, m);
-        let profile_prior = self.grids.prior_covariance(self.prior);
-        prior.submatrix_mut(0, 0, m - 1, m - 1).copy_from(&profile_prior);
-        prior[(m - 1, m - 1)] = self.common_shift_sd_m.powi(2);
+        self.combine(&statistics)
+    }
+
+    fn combine(&self, statistics: &[Statistics]) -> Result<SitePosterior, InverseError> {
+        let (m, p) = (self.shared(), self.profile.grids.len());
+        let bad = |_| InverseError::Covariance { len: m, noise_m_s2: self.prior.noise_m_s2 };
+        let mut root = Mat::zeros(m, m);
+        let profile_root = self.profile.grids.prior_covariance(self.prior).llt(faer::Side::Lower).map_err(bad)?;
+        root.submatrix_mut(0, 0, p, p).copy_from(profile_root.L());
+        let mut centre = Mat::zeros(m, 1);
+        root[(p, p)] = self.common_shift_sd_m / self.temperature.sqrt();
+        for (k, moved) in self.moved.iter().enumerate() {
+            root[(p + 1 + k, p + 1 + k)] = moved.prior.1 / self.temperature.sqrt();
+            centre[(p + 1 + k, 0)] = moved.prior.0;
+        }
         let mut information: Mat<f64> = Mat::zeros(m, m);
         let mut vector: Mat<f64> = Mat::zeros(m, 1);
-        let mut log_evidence = 0.0;
-        for s in &statistics {
+        let (mut log_evidence, mut misfit, mut samples) = (0.0, 0.0, 0);
+        for s in statistics {
+            misfit += s.quadratic;
+            samples += s.samples;
             information += &s.information;
             vector += &s.vector;
             log_evidence += s.log_likelihood;
         }
-        // Whitened with the prior's Cholesky factor, so that a nearly singular prior does no harm.
-        let bad = |_| InverseError::Covariance { len: m, noise_m_s2: self.prior.noise_m_s2 };
-        let root = prior.llt(faer::Side::Lower).map_err(bad)?.L().to_owned();
+        symmetrise(&mut information);
+        // About the prior mean, and whitened with the prior's Cholesky factor, so that a nearly singular prior does no
+        // harm.
+        let at_centre = &information * &centre;
+        for i in 0..m {
+            let explained = centre[(i, 0)] * (vector[(i, 0)] - 0.5 * at_centre[(i, 0)]);
+            log_evidence += explained;
+            misfit -= 2.0 * explained;
+        }
+        let vector = &vector - &at_centre;
         let inner = root.transpose() * &information * &root + Mat::<f64>::identity(m, m);
         let factor = inner.llt(faer::Side::Lower).map_err(bad)?;
         let whitened = root.transpose() * &vector;
         let solved = factor.solve(&whitened);
         let l = factor.L();
         log_evidence += (0..m).map(|i| 0.5 * whitened[(i, 0)] * solved[(i, 0)] - l[(i, i)].ln()).sum::<f64>();
-        let mean = &root * &solved;
-        let covariance = &root * factor.solve(root.transpose());
-        Ok(self.collect(&statistics, log_evidence, &mean, covariance))
+        misfit -= (0..m).map(|i| whitened[(i, 0)] * solved[(i, 0)]).sum::<f64>();
+        let misfit_ratio = (misfit.max(0.0) / samples.max(1) as f64).sqrt();
+        let mean = &centre + &root * &solved;
+        let covariance = self.tempered(&root * factor.solve(root.transpose()));
+        let mean_shift_sd_m = self.mean_shift_sd_m(statistics, &covariance);
+        let means = self.means(statistics, &mean);
+        Ok(SitePosterior { log_evidence, misfit_ratio, covariance, mean_shift_sd_m, ..means })
     }
 
-    fn collect(
-        &self,
-        statistics: &[Statistics],
-        log_evidence: f64,
-        mean: &Mat<f64>,
-        covariance: Mat<f64>,
-    ) -> SitePosterior {
-        let m = mean.nrows();
-        let common_shift_m = mean[(m - 1, 0)];
-        let own = |s: &Statistics| {
-            let coupled: f64 = (0..m).map(|i| s.own_coupling[(i, 0)] * mean[(i, 0)]).sum();
-            (s.own_value - coupled) / s.own_precision
-        };
-        SitePosterior {
-            log_evidence,
-            profile: CommonProfile {
-                grids: self.grids.clone(),
-                irregularity_m: (0..m - 1).map(|i| mean[(i, 0)]).collect(),
-            },
-            covariance,
-            common_shift_m,
-            shift_m: statistics.iter().map(|s| common_shift_m + own(s)).collect(),
-            shift_sd_m: statistics.iter().map(|s| s.own_precision.sqrt().recip()).collect(),
-        }
-    }
-
-    /// Windows of one passage, reduced to the information on (c, X) and on its own position error.
-    fn statistics(&self, passage: &SitePassage) -> Result<Statistics, InverseError> {
-        let m = self.grids.len() + 1;
-        let mut information = Mat::zeros(m + 1, m + 1);
-        let mut vector = Mat::zeros(m + 1, 1);
-        let mut log_likelihood = 0.0;
-        let zero = CommonProfile::zero(self.grids.clone());
-        for kind in kinds(self.pattern) {
-            let estimator = Estimator::new(
-                self.greens,
-                &self.geometry(&kind.offsets, passage),
-                self.prior,
-                self.interaction,
-                &zero,
-            )?;
-            for group in &kind.groups {
-                let columns = self.columns(&estimator, passage, *group);
-                let whitened = estimator.whiten(&columns);
-                let products = columns.transpose() * &whitened;
-                let last = m + 1;
-                for i in 0..=m {
-                    vector[(i, 0)] += products[(i, last)];
-                    for j in 0..=m {
-                        information[(i, j)] += products[(i, j)];
-                    }
-                }
-                let n = estimator.len() as f64;
-                log_likelihood -= 0.5 * products[(last, last)]
-                    + estimator.log_det_half()
-                    + 0.5 * n * std::f64::consts::TAU.ln();
+    /// A passage's own position follows what is shared: X + x_i moves with (c, X, θ) by a row h, and the mean row gives the
+    /// uncertainty that averaging over passages does not remove.
+    fn mean_shift_sd_m(&self, statistics: &[Statistics], covariance: &Mat<f64>) -> f64 {
+        let m = covariance.nrows();
+        let count = statistics.len().max(1) as f64;
+        let mut row = Mat::zeros(1, m);
+        row[(0, self.profile.grids.len())] = 1.0;
+        for s in statistics {
+            for i in 0..m {
+                let follows: f64 = (0..OWN).map(|k| s.own_covariance[0][k] * s.own_coupling[(i, k)]).sum();
+                row[(0, i)] -= follows / count;
             }
         }
-        Ok(self.eliminate_own_shift(&information, &vector, log_likelihood))
+        let variance = (&row * covariance * row.transpose())[(0, 0)];
+        variance.max(0.0).sqrt()
     }
 
-    /// [A | −ȧ/v for X | −ȧ/v for x_i | residual]
-    fn columns(&self, estimator: &Estimator, passage: &SitePassage, group: AxleGroup) -> Mat<f64> {
-        let (n, m) = (estimator.len(), self.grids.len());
-        let (rate, band) = (estimator.rate_hz, self.greens.sampling.band_hz);
-        let start =
-            passage.timing.axle_s(self.pattern.offset_m[group.first]) - estimator.before as f64 / rate;
-        let window = passage.recording.window(start, rate, n, band);
-        let slope = passage.recording.window_slope(start, rate, n, band);
-        let mut columns = Mat::zeros(n, m + 3);
-        columns.submatrix_mut(0, 0, n, m).copy_from(estimator.profile_response());
-        for k in 0..n {
-            let per_metre = -slope[k] / passage.timing.speed_m_s;
-            columns[(k, m)] = per_metre;
-            columns[(k, m + 1)] = per_metre;
-            columns[(k, m + 2)] = window[k] - estimator.expected_m_s2[k];
+    /// Widens the covariance of (X, θ) by the temperature; the profile follows by its regression on them.
+    fn tempered(&self, mut covariance: Mat<f64>) -> Mat<f64> {
+        let (p, q) = (self.profile.grids.len(), 1 + self.moved.len());
+        let block = covariance.submatrix(p, p, q, q).to_owned();
+        let Ok(factor) = block.llt(faer::Side::Lower) else { return covariance };
+        let across = covariance.submatrix(0, p, p + q, q).to_owned();
+        let solved = factor.solve(across.transpose());
+        covariance += faer::Scale(self.temperature - 1.0) * (&across * &solved);
+        covariance
+    }
+
+    fn means(&self, statistics: &[Statistics], mean: &Mat<f64>) -> SitePosterior {
+        let p = self.profile.grids.len();
+        let common_shift_m = mean[(p, 0)];
+        let own: Vec<[f64; OWN]> = statistics.iter().map(|s| s.own_mean(mean)).collect();
+        SitePosterior {
+            log_evidence: 0.0,
+            misfit_ratio: 1.0,
+            profile: CommonProfile {
+                grids: self.profile.grids.clone(),
+                value: (0..p).map(|i| mean[(i, 0)]).collect(),
+            },
+            covariance: Mat::zeros(0, 0),
+            common_shift_m,
+            mean_shift_sd_m: 0.0,
+            parameters: (p + 1..mean.nrows()).map(|i| mean[(i, 0)]).collect(),
+            shift_m: own.iter().map(|o| common_shift_m + o[0]).collect(),
+            stretch: own.iter().map(|o| o[1]).collect(),
+            own_covariance: statistics.iter().map(|s| s.own_covariance).collect(),
+        }
+    }
+
+    /// Windows of one passage, reduced to the information on what is shared and on its own unknowns.
+    fn statistics(&self, passage: &SitePassage) -> Result<Statistics, InverseError> {
+        let m = self.shared();
+        let width = m + OWN + 1;
+        let mut products: Mat<f64> = Mat::zeros(width, width);
+        let (mut log_likelihood, mut samples) = (0.0, 0);
+        for kind in kinds(self.pattern) {
+            let estimator =
+                Estimator::new(&self.model, &self.geometry(&kind.offsets, passage), self.prior, self.profile)?;
+            let (n, fixed) = (estimator.len(), m - 1);
+            let mut columns = Mat::zeros(n, fixed + kind.groups.len() * (OWN + 1));
+            columns.submatrix_mut(0, 0, n, fixed).copy_from(&self.fixed_columns(&estimator, &kind, passage));
+            for (g, group) in kind.groups.iter().enumerate() {
+                let own = self.own_columns(&estimator, passage, *group);
+                columns.submatrix_mut(0, fixed + g * (OWN + 1), n, OWN + 1).copy_from(&own);
+            }
+            estimator.whiten(&mut columns);
+            add_products(&mut products, &columns, self.profile.grids.len(), fixed, kind.groups.len());
+            samples += n * kind.groups.len();
+            log_likelihood -= kind.groups.len() as f64
+                * (estimator.log_det_half() + 0.5 * n as f64 * std::f64::consts::TAU.ln());
+        }
+        let quadratic = products[(width - 1, width - 1)];
+        log_likelihood -= 0.5 * quadratic;
+        Ok(self.eliminate_own(&products, log_likelihood, quadratic, samples))
+    }
+
+    /// [A | D]: response to the common profile, derivatives by the track parameters.
+    pub fn fixed_columns(&self, estimator: &Estimator, kind: &GroupKind, passage: &SitePassage) -> Mat<f64> {
+        let (n, p) = (estimator.len(), self.profile.grids.len());
+        let mut columns = Mat::zeros(n, p + self.moved.len());
+        columns.submatrix_mut(0, 0, n, p).copy_from(estimator.profile_response());
+        for (k, moved) in self.moved.iter().enumerate() {
+            let geometry = self.geometry(&kind.offsets, passage);
+            let expected = expected_window(&moved.model, &geometry, self.prior, self.profile);
+            for i in 0..n {
+                columns[(i, p + k)] = (expected[i] - estimator.expected_m_s2[i]) / moved.step;
+            }
         }
         columns
     }
 
-    fn eliminate_own_shift(
-        &self,
-        information: &Mat<f64>,
-        vector: &Mat<f64>,
-        log_likelihood: f64,
-    ) -> Statistics {
-        let m = self.grids.len() + 1;
-        let precision = information[(m, m)] + self.passage_shift_sd_m.powi(-2);
-        let coupling = Mat::from_fn(m, 1, |i, _| information[(i, m)]);
-        let value = vector[(m, 0)];
-        let mut reduced = information.submatrix(0, 0, m, m).to_owned();
-        matmul(&mut reduced, Accum::Add, &coupling, coupling.transpose(), -1.0 / precision, Par::Seq);
-        let reduced_vector = Mat::from_fn(m, 1, |i, _| vector[(i, 0)] - coupling[(i, 0)] * value / precision);
-        let log_likelihood = log_likelihood + 0.5 * value * value / precision
-            - 0.5 * (precision * self.passage_shift_sd_m.powi(2)).ln();
+    /// [−ȧ/v | −ȧ τ | residual], with τ the time since the first axle, for a window as it would be with the profile zero.
+    pub fn own_columns(&self, estimator: &Estimator, passage: &SitePassage, group: AxleGroup) -> Mat<f64> {
+        let (n, rate, band) = (estimator.len(), estimator.rate_hz, self.model.greens.sampling.band_hz);
+        let timing = passage.timing;
+        let start = timing.axle_s(self.pattern.offset_m[group.first]) - estimator.before as f64 / rate;
+        let window = passage.recording.window(start, rate, n, band);
+        // The slope of the model's mean, not of the recording: what the wheels have of their own says nothing on where
+        // they are, but would damp every step.
+        let slope = &estimator.expected_slope_m_s3;
+        let response = estimator.profile_response();
+        let known: Vec<f64> = (0..n)
+            .map(|i| (0..response.ncols()).map(|j| response[(i, j)] * self.profile.value[j]).sum())
+            .collect();
+        Mat::from_fn(n, OWN + 1, |k, c| match c {
+            0 => -slope[k] / timing.speed_m_s,
+            1 => -slope[k] * (start + k as f64 / rate - timing.first_axle_s),
+            _ => window[k] - estimator.expected_m_s2[k] + known[k],
+        })
+    }
+
+    fn eliminate_own(&self, products: &Mat<f64>, log_likelihood: f64, residual: f64, samples: usize) -> Statistics {
+        let m = self.shared();
+        let value = [products[(m + OWN, m)], products[(m + OWN, m + 1)]];
+        let precision = [
+            [products[(m, m)] + self.passage_shift_sd_m.powi(-2), products[(m + 1, m)]],
+            [products[(m + 1, m)], products[(m + 1, m + 1)] + self.speed_sd.powi(-2)],
+        ];
+        let determinant = precision[0][0] * precision[1][1] - precision[0][1] * precision[1][0];
+        let covariance = [
+            [precision[1][1] / determinant, -precision[0][1] / determinant],
+            [-precision[1][0] / determinant, precision[0][0] / determinant],
+        ];
+        let coupling = products.submatrix(m, 0, OWN, m).transpose().to_owned();
+        let weights = Mat::from_fn(OWN, OWN, |i, j| covariance[i][j]);
+        let weighted = &coupling * &weights;
+        let mut information = products.submatrix(0, 0, m, m).to_owned();
+        triangular::matmul(
+            &mut information,
+            triangular::BlockStructure::TriangularLower,
+            Accum::Add,
+            &weighted,
+            triangular::BlockStructure::Rectangular,
+            coupling.transpose(),
+            triangular::BlockStructure::Rectangular,
+            -1.0,
+            Par::Seq,
+        );
+        let vector = Mat::from_fn(m, 1, |i, _| {
+            products[(m + OWN, i)] - weighted[(i, 0)] * value[0] - weighted[(i, 1)] * value[1]
+        });
+        let quadratic: f64 =
+            (0..OWN).map(|i| (0..OWN).map(|j| value[i] * covariance[i][j] * value[j]).sum::<f64>()).sum();
+        let prior_ln = self.passage_shift_sd_m.powi(-2).ln() + self.speed_sd.powi(-2).ln();
         Statistics {
-            information: reduced,
-            vector: reduced_vector,
-            log_likelihood,
-            own_precision: precision,
+            information,
+            vector,
+            log_likelihood: log_likelihood + 0.5 * quadratic - 0.5 * (determinant.ln() - prior_ln),
+            own_covariance: covariance,
             own_coupling: coupling,
             own_value: value,
+            quadratic: residual - quadratic,
+            samples,
+        }
+    }
+}
+
+impl Statistics {
+    fn own_mean(&self, shared: &Mat<f64>) -> [f64; OWN] {
+        let left: Vec<f64> = (0..OWN)
+            .map(|k| {
+                let coupled: f64 =
+                    (0..shared.nrows()).map(|i| self.own_coupling[(i, k)] * shared[(i, 0)]).sum();
+                self.own_value[k] - coupled
+            })
+            .collect();
+        [0, 1].map(|i| (0..OWN).map(|k| self.own_covariance[i][k] * left[k]).sum())
+    }
+}
+
+/// Adds columnsᵀ columns of all groups of a kind, lower triangle in the order (c, X, θ, x_i, stretch, residual).
+///
+/// `columns` holds (A, D) once, then (−ȧ/v, stretch, residual) of every group; −ȧ/v serves X and x_i.
+fn add_products(products: &mut Mat<f64>, columns: &Mat<f64>, profile: usize, fixed: usize, groups: usize) {
+    let place = |i: usize| if i < profile { i } else { i + 1 };
+    let own = fixed + 1;
+    let targets = [(profile, 0), (own, 0), (own + 1, 1), (own + 2, 2)];
+    let fixed_columns = columns.subcols(0, fixed);
+    let mut square: Mat<f64> = Mat::zeros(fixed, fixed);
+    triangular::matmul(
+        &mut square,
+        triangular::BlockStructure::TriangularLower,
+        Accum::Replace,
+        fixed_columns.transpose(),
+        triangular::BlockStructure::Rectangular,
+        fixed_columns,
+        triangular::BlockStructure::Rectangular,
+        groups as f64,
+        Par::Seq,
+    );
+    for j in 0..fixed {
+        for i in j..fixed {
+            products[(place(i), place(j))] += square[(i, j)];
+        }
+    }
+    for g in 0..groups {
+        let group = columns.subcols(fixed + g * (OWN + 1), OWN + 1);
+        let across = fixed_columns.transpose() * group;
+        let within = group.transpose() * group;
+        for (a, k) in targets {
+            for i in 0..fixed {
+                let (row, column) = (a.max(place(i)), a.min(place(i)));
+                products[(row, column)] += across[(i, k)];
+            }
+            for (b, l) in targets.into_iter().filter(|(b, _)| *b <= a) {
+                products[(a, b)] += within[(k, l)];
+            }
+        }
+    }
+}
+
+fn symmetrise(lower: &mut Mat<f64>) {
+    for j in 0..lower.ncols() {
+        for i in 0..j {
+            lower[(i, j)] = lower[(j, i)];
         }
     }
 }

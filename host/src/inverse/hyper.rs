@@ -1,39 +1,51 @@
-//! Hyper-parameters of the prior by evidence: one at a time, by factors of two and then of √2, until none helps.
+//! Hyper-parameters of the prior by evidence: one after the other, by factors of two as long as that helps. Estimates
+//! hardly depend on them within such a factor.
 
 use super::{InverseError, Prior};
 
 /// A positive hyper-parameter with the range in which it is physical.
-struct Hyper {
+pub struct Hyper {
     get: fn(&mut Prior) -> &mut f64,
     range: [f64; 2],
 }
 
-/// In the order in which they matter. Ranges: from nothing measurable to the size of the static force, the recorder's
-/// full noise, the depth of a broken crossing; the correlation time from one sample to a tenth of a bogie passage.
-const HYPERS: [Hyper; 9] = [
+/// In the order in which they matter. Ranges: from nothing measurable to the recorder's full noise, the depth of a broken
+/// crossing, a corrugated stock rail; the correlation length from one sleeper's height to a sleeper bay.
+pub const IRREGULARITY: [Hyper; 8] = [
     Hyper { get: |p| &mut p.noise_m_s2, range: [0.005, 1.0] },
+    Hyper { get: |p| &mut p.own.region, range: [2e-6, 2e-3] },
+    Hyper { get: |p| &mut p.own.outside, range: [1e-6, 0.5e-3] },
+    Hyper { get: |p| &mut p.own_correlation_m, range: [0.05, 0.6] },
+    Hyper { get: |p| &mut p.common.region, range: [0.01e-3, 10e-3] },
+    Hyper { get: |p| &mut p.common.outside, range: [2e-6, 0.5e-3] },
+    Hyper { get: |p| &mut p.own.stock, range: [1e-6, 0.1e-3] },
+    Hyper { get: |p| &mut p.dip_m, range: [0.1e-3, 10e-3] },
+];
+
+/// Those of a common force profile: up to the recorder's full noise and the size of the static force; the rails outside the
+/// region and the stock rail are smooth.
+pub const FORCE: [Hyper; 6] = [
+    Hyper { get: |p| &mut p.noise_m_s2, range: [0.04, 1.0] },
     Hyper { get: |p| &mut p.own.region, range: [200.0, 60e3] },
-    Hyper { get: |p| &mut p.own.outside, range: [50.0, 20e3] },
-    Hyper { get: |p| &mut p.slow_n, range: [50.0, 20e3] },
-    Hyper { get: |p| &mut p.common.region, range: [0.05e-3, 10e-3] },
-    Hyper { get: |p| &mut p.common.outside, range: [0.01e-3, 2e-3] },
-    Hyper { get: |p| &mut p.common.stock, range: [0.01e-3, 2e-3] },
-    Hyper { get: |p| &mut p.own.stock, range: [50.0, 20e3] },
+    Hyper { get: |p| &mut p.own.outside, range: [200.0, 20e3] },
+    Hyper { get: |p| &mut p.own.stock, range: [100.0, 1.2e3] },
     Hyper { get: |p| &mut p.correlation_s, range: [0.7e-3, 5e-3] },
+    Hyper { get: |p| &mut p.slow_n, range: [100.0, 5e3] },
 ];
 
 /// Steps taken, as factors.
-const FACTORS: [f64; 2] = [2.0, std::f64::consts::SQRT_2];
+const FACTORS: [f64; 1] = [2.0];
 
 /// Prior with the highest evidence found, and that evidence.
 pub fn refine(
     start: &Prior,
+    hypers: &[Hyper],
     evidence: &dyn Fn(&Prior) -> Result<f64, InverseError>,
 ) -> Result<(Prior, f64), InverseError> {
     let mut best = start.clone();
     let mut highest = evidence(&best)?;
     for factor in FACTORS {
-        for hyper in &HYPERS {
+        for hyper in hypers {
             for step in [factor, 1.0 / factor] {
                 let moved = climb(hyper, step, &mut best, &mut highest, evidence);
                 if moved {

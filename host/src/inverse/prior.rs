@@ -16,14 +16,20 @@ pub struct Prior {
     pub region_m: [f64; 2],
     /// Irregularity that all wheels share, metres.
     pub common: Spread,
-    /// Each wheel's own part of the force deviation, newtons.
+    /// Each wheel's own part, in the same unit.
     pub own: Spread,
     /// Length over which the standard deviations fall off outside the region (Gaussian), metres.
     pub edge_m: f64,
     /// Correlation time of a wheel's own part (Matérn 5/2), seconds.
     pub correlation_s: f64,
+    /// Correlation length of a wheel's own irregularity (Matérn 5/2), metres.
+    pub own_correlation_m: f64,
     /// Correlation length of the common profile (Matérn 5/2), metres.
     pub correlation_m: f64,
+    /// Dip of the wheels' path from wing rail to nose: standard deviation inside the region, metres.
+    pub dip_m: f64,
+    /// Correlation length of the dip, metres.
+    pub dip_correlation_m: f64,
     /// Standard deviation of the deviation's amplitude at wavelengths longer than 2.3 m, newtons: the
     /// unsprung mass cannot produce more, because it follows the slow variation of the deflection.
     pub slow_n: f64,
@@ -56,11 +62,14 @@ impl Prior {
     pub fn starting(direction: f64) -> Self {
         Self {
             region_m: [-1.2 + 0.3 * direction, 1.2 + 0.3 * direction],
-            common: Spread { region: 0.6e-3, outside: 0.06e-3, stock: 0.12e-3 },
-            own: Spread { region: 4e3, outside: 0.7e3, stock: 0.3e3 },
+            common: Spread { region: 0.3e-3, outside: 0.05e-3, stock: 0.03e-3 },
+            own: Spread { region: 60e-6, outside: 10e-6, stock: 10e-6 },
+            own_correlation_m: 0.15,
             edge_m: 0.25,
             correlation_s: 2e-3,
             correlation_m: 0.15,
+            dip_m: 1e-3,
+            dip_correlation_m: 0.4,
             slow_n: 0.5e3,
             load_sd: 0.02,
             noise_m_s2: 0.03,
@@ -70,9 +79,32 @@ impl Prior {
         }
     }
 
-    /// Every wheel stands for itself: a wide prior of its force, nothing shared. For the force estimate at the full band,
-    /// where the linearised interaction of wheel and track is not accurate enough to carry knowledge from one wheel to
-    /// the next.
+    /// For the force estimate at the full band, where the linearised interaction of wheel and track is not accurate
+    /// enough to carry knowledge from one wheel to the next: the wheels share a force profile. Newtons.
+    pub fn common_force(direction: f64) -> Self {
+        Self {
+            common: Spread { region: 25e3, outside: 6e3, stock: 6e3 },
+            own: Spread { region: 4e3, outside: 0.7e3, stock: 0.4e3 },
+            slow_n: 1.5e3,
+            correlation_m: 0.09,
+            noise_m_s2: 0.06,
+            half_m: 4.5,
+            window_m: 4.0,
+            ..Self::starting(direction)
+        }
+    }
+
+    /// Nothing shared: what the wheels could have in common, each may have for itself. For a prior of forces.
+    pub fn with_common_as_own(&self) -> Self {
+        let own = Spread {
+            region: self.common.region.hypot(self.own.region),
+            outside: self.common.outside.hypot(self.own.outside),
+            stock: self.common.stock.hypot(self.own.stock),
+        };
+        Self { own, ..self.clone() }
+    }
+
+    /// Every wheel stands for itself: a wide prior of its force, nothing shared.
     pub fn each_wheel_for_itself(direction: f64) -> Self {
         Self {
             own: Spread { region: 25e3, outside: 4e3, stock: 4e3 },
@@ -82,14 +114,19 @@ impl Prior {
         }
     }
 
-    /// Standard deviation of a wheel's own force deviation at `x_m`, newtons.
-    pub fn own_sd_n(&self, side: Side, x_m: f64) -> f64 {
+    /// Standard deviation of a wheel's own part at `x_m`, in the unit of the profile.
+    pub fn own_sd(&self, side: Side, x_m: f64) -> f64 {
         self.along(&self.own, side, x_m)
     }
 
-    /// Standard deviation of the common irregularity at `x_m`, metres.
-    pub fn irregularity_sd_m(&self, side: Side, x_m: f64) -> f64 {
+    /// Standard deviation of the common profile at `x_m`, in its unit.
+    pub fn common_sd(&self, side: Side, x_m: f64) -> f64 {
         self.along(&self.common, side, x_m)
+    }
+
+    /// Standard deviation of the dip at `x_m`, metres.
+    pub fn dip_sd_m(&self, side: Side, x_m: f64) -> f64 {
+        self.along(&Spread { region: self.dip_m, outside: 0.0, stock: 0.0 }, side, x_m)
     }
 
     fn along(&self, spread: &Spread, side: Side, x_m: f64) -> f64 {
@@ -105,7 +142,8 @@ impl Prior {
     /// correlation lengths between neighbours, its slow part limited to [`Self::slow_n`].
     pub fn covariance(&self, positions_m: &[f64], sd_n: &[f64], step: f64) -> Mat<f64> {
         let n = positions_m.len();
-        let free = Mat::from_fn(n, n, |i, j| sd_n[i] * sd_n[j] * matern_at(i.abs_diff(j), step));
+        let correlation: Vec<f64> = (0..n).map(|lag| matern_at(lag, step)).collect();
+        let free = Mat::from_fn(n, n, |i, j| sd_n[i] * sd_n[j] * correlation[i.abs_diff(j)]);
         let slow = slow_amplitudes(positions_m, 2.0 * self.half_m);
         let cross = &free * &slow;
         let k = slow.ncols();
@@ -115,6 +153,18 @@ impl Prior {
             Ok(factor) => &free - &cross * factor.solve(cross.transpose()),
             Err(_) => free,
         }
+    }
+
+    /// Lower Cholesky factor of the covariance of a wheel's own irregularity at equidistant positions, metres: Matérn 5/2
+    /// with `step` correlation lengths between neighbours; `None` if it is not finite.
+    pub fn path_factor(&self, positions_m: &[f64], side: Side, step: f64) -> Option<Mat<f64>> {
+        let n = positions_m.len();
+        let sd: Vec<f64> = positions_m.iter().map(|x| self.own_sd(side, *x)).collect();
+        let correlation: Vec<f64> = (0..n).map(|lag| matern_at(lag, step)).collect();
+        let covariance = Mat::from_fn(n, n, |i, j| {
+            sd[i] * sd[j] * (correlation[i.abs_diff(j)] + if i == j { JITTER } else { 0.0 })
+        });
+        covariance.llt(faer::Side::Lower).ok().map(|f| f.L().to_owned())
     }
 
     /// Lower Cholesky factor of [`Self::covariance`]; `None` if it is not finite.

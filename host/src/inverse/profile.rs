@@ -1,4 +1,4 @@
-//! Irregularity along the track that all wheels of a site share.
+//! Profile along the track that all wheels of a site share: an irregularity, or a force deviation.
 
 use faer::Mat;
 
@@ -29,7 +29,7 @@ impl PositionGrid {
     }
 
     /// Cubic B-splines that are not zero at `x_m`, with their values; those beyond the ends of the grid are left out.
-    fn splines(&self, x_m: f64) -> impl Iterator<Item = (usize, f64)> {
+    pub fn splines(&self, x_m: f64) -> impl Iterator<Item = (usize, f64)> {
         let p = (x_m - self.first_m) / self.step_m;
         let inside = p >= 0.0 && p <= (self.len.max(1) - 1) as f64;
         let (i, t) = (p.floor() as i64, p - p.floor());
@@ -46,38 +46,141 @@ impl PositionGrid {
             .filter(move |(index, _)| inside && *index >= 0 && *index < len)
             .map(|(index, value)| (index as usize, value))
     }
+
+    /// Values of the splines at positions: positions × grid points.
+    pub fn basis(&self, position_m: &[f64]) -> Mat<f64> {
+        let mut out = Mat::zeros(position_m.len(), self.len);
+        for (row, x) in position_m.iter().enumerate() {
+            for (i, value) in self.splines(*x) {
+                out[(row, i)] = value;
+            }
+        }
+        out
+    }
 }
 
-/// One part of the common profile: cubic B-splines on a grid.
+/// How a part of the common profile enters a wheel.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Regressor {
+    /// The same for all wheels.
+    Constant,
+    /// In proportion to the speed relative to the site's mean, per [`SPEED_UNIT`].
+    Speed,
+    /// With opposite sign for the leading and the trailing wheel of a bogie.
+    Lead,
+}
+
+/// Relative speed difference at which the speed part has its full size.
+pub const SPEED_UNIT: f64 = 0.05;
+
+/// What distinguishes one wheel from another as far as the common profile goes.
 #[derive(Clone, Copy, Debug, PartialEq)]
-struct Part {
-    side: Side,
-    grid: PositionGrid,
-    first: usize,
+pub struct WheelClass {
+    /// Speed relative to the site's mean, in [`SPEED_UNIT`].
+    pub speed: f64,
+    /// Leading wheel of its bogie.
+    pub leading: bool,
+}
+
+impl WheelClass {
+    fn weight(&self, regressor: Regressor) -> f64 {
+        match regressor {
+            Regressor::Constant => 1.0,
+            Regressor::Speed => self.speed,
+            Regressor::Lead if self.leading => 1.0,
+            Regressor::Lead => -1.0,
+        }
+    }
+}
+
+/// One part of the common profile: splines on the grid of a side, multiplied by a regressor.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Part {
+    /// Rail.
+    pub side: Side,
+    /// Regressor.
+    pub regressor: Regressor,
+    /// First entry in the joint vector.
+    pub first: usize,
+    /// Prior standard deviation relative to that of the constant part.
+    scale: f64,
 }
 
 /// Layout of the common profile's spline coefficients in one joint vector.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ProfileGrids {
-    parts: [Part; 2],
+    /// Grid of the crossing side.
+    pub crossing: PositionGrid,
+    /// Grid of the stock side.
+    pub stock: PositionGrid,
+    /// Parts of the joint vector.
+    pub parts: Vec<Part>,
+    /// Speed at which the speed parts vanish, m/s.
+    pub mean_speed_m_s: f64,
+    kind: Kind,
 }
 
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Kind {
+    Irregularity,
+    Force,
+}
+
+/// Size of the speed and the lead parts relative to the constant part.
+const SPEED_SCALE: f64 = 0.25;
+const LEAD_SCALE: f64 = 0.1;
+
 impl ProfileGrids {
-    /// Grids on both rails within `half_m` of x = 0.
-    pub fn new(half_m: f64, crossing_step_m: f64, stock_step_m: f64) -> Self {
+    /// Irregularity on both rails within `half_m` of x = 0.
+    pub fn irregularity(half_m: f64, crossing_step_m: f64, stock_step_m: f64) -> Self {
+        let parts =
+            [(Side::Crossing, Regressor::Constant, 1.0), (Side::Stock, Regressor::Constant, 1.0)];
+        Self::with_parts(half_m, crossing_step_m, stock_step_m, &parts, 1.0, Kind::Irregularity)
+    }
+
+    /// Force deviation on both rails: what an irregularity makes of it depends on the speed, and the trailing wheel
+    /// of a bogie meets a track that the leading one has set in motion.
+    pub fn force(half_m: f64, crossing_step_m: f64, stock_step_m: f64, mean_speed_m_s: f64) -> Self {
+        let parts = [
+            (Side::Crossing, Regressor::Constant, 1.0),
+            (Side::Crossing, Regressor::Speed, SPEED_SCALE),
+            (Side::Crossing, Regressor::Lead, LEAD_SCALE),
+            (Side::Stock, Regressor::Constant, 1.0),
+            (Side::Stock, Regressor::Speed, SPEED_SCALE),
+        ];
+        Self::with_parts(half_m, crossing_step_m, stock_step_m, &parts, mean_speed_m_s, Kind::Force)
+    }
+
+    fn with_parts(
+        half_m: f64,
+        crossing_step_m: f64,
+        stock_step_m: f64,
+        parts: &[(Side, Regressor, f64)],
+        mean_speed_m_s: f64,
+        kind: Kind,
+    ) -> Self {
         let crossing = PositionGrid::covering(half_m, crossing_step_m);
         let stock = PositionGrid::covering(half_m, stock_step_m);
-        Self {
-            parts: [
-                Part { side: Side::Crossing, grid: crossing, first: 0 },
-                Part { side: Side::Stock, grid: stock, first: crossing.len },
-            ],
-        }
+        let mut first = 0;
+        let parts = parts
+            .iter()
+            .map(|(side, regressor, scale)| {
+                let part = Part { side: *side, regressor: *regressor, first, scale: *scale };
+                first += if *side == Side::Crossing { crossing.len } else { stock.len };
+                part
+            })
+            .collect();
+        Self { crossing, stock, parts, mean_speed_m_s, kind }
+    }
+
+    /// Grid of a side.
+    pub fn grid(&self, side: Side) -> &PositionGrid {
+        if side == Side::Crossing { &self.crossing } else { &self.stock }
     }
 
     /// Length of the joint vector.
     pub fn len(&self) -> usize {
-        self.parts.iter().map(|p| p.grid.len).sum()
+        self.parts.iter().map(|p| self.grid(p.side).len).sum()
     }
 
     /// Never: a grid has at least two points.
@@ -85,47 +188,93 @@ impl ProfileGrids {
         self.len() == 0
     }
 
-    /// Entries of the joint vector that make up the irregularity at `x_m`, with their weights.
-    pub fn entries(&self, side: Side, x_m: f64) -> impl Iterator<Item = (usize, f64)> + '_ {
-        let part = self.parts.iter().filter(move |p| p.side == side);
-        part.flat_map(move |p| p.grid.splines(x_m).map(move |(i, value)| (p.first + i, value)))
+    /// Class of a wheel: axle counted from the front of its group (whole bogies), at a speed.
+    pub fn class(&self, speed_m_s: f64, axle: usize) -> WheelClass {
+        WheelClass {
+            speed: (speed_m_s / self.mean_speed_m_s - 1.0) / SPEED_UNIT,
+            leading: axle.is_multiple_of(2),
+        }
     }
 
-    /// Prior covariance of the joint vector, m².
+    /// Parts of one side with their weights for a class of wheels.
+    pub fn parts_of(&self, side: Side, class: WheelClass) -> impl Iterator<Item = (&Part, f64)> {
+        self.parts.iter().filter(move |p| p.side == side).map(move |p| (p, class.weight(p.regressor)))
+    }
+
+    /// Value under each contact of a bogie per entry of the joint vector, for constant parts: `[leading, trailing][crossing,
+    /// stock]`, positions × entries.
+    pub fn values_at(&self, position_m: &[f64]) -> [[Mat<f64>; 2]; 2] {
+        let of = |side: Side| {
+            let splines = self.grid(side).basis(position_m);
+            let mut out = Mat::zeros(position_m.len(), self.len());
+            for part in self.parts.iter().filter(|p| p.side == side && p.regressor == Regressor::Constant) {
+                out.subcols_mut(part.first, splines.ncols()).copy_from(&splines);
+            }
+            out
+        };
+        let rails = [of(Side::Crossing), of(Side::Stock)];
+        [rails.clone(), rails]
+    }
+
+    /// Prior covariance of the joint vector, unit of the profile squared.
     pub fn prior_covariance(&self, prior: &Prior) -> Mat<f64> {
         let mut out = Mat::zeros(self.len(), self.len());
         for p in &self.parts {
-            let sd = |i: usize| prior.irregularity_sd_m(p.side, p.grid.position_m(i));
-            for i in 0..p.grid.len {
-                for j in 0..p.grid.len {
-                    let correlation = matern_at(i.abs_diff(j), p.grid.step_m / prior.correlation_m);
-                    out[(p.first + i, p.first + j)] = sd(i) * sd(j) * correlation;
+            let grid = self.grid(p.side);
+            let positions: Vec<f64> = (0..grid.len).map(|i| grid.position_m(i)).collect();
+            let sd: Vec<f64> = positions.iter().map(|x| p.scale * prior.common_sd(p.side, *x)).collect();
+            let step = grid.step_m / prior.correlation_m;
+            let mut block = match self.kind {
+                Kind::Force => prior.covariance(&positions, &sd, step),
+                Kind::Irregularity => {
+                    let long: Vec<f64> =
+                        positions.iter().map(|x| prior.dip_sd_m(p.side, *x)).collect();
+                    let long_step = grid.step_m / prior.dip_correlation_m;
+                    Mat::from_fn(grid.len, grid.len, |i, j| {
+                        sd[i] * sd[j] * matern_at(i.abs_diff(j), step)
+                            + long[i] * long[j] * matern_at(i.abs_diff(j), long_step)
+                    })
                 }
-                out[(p.first + i, p.first + i)] += 1e-9 * sd(i).powi(2);
+            };
+            for i in 0..grid.len {
+                block[(i, i)] += 1e-9 * sd[i].powi(2);
             }
+            out.submatrix_mut(p.first, p.first, grid.len, grid.len).copy_from(&block);
         }
         out
     }
 }
 
-/// Irregularity that all wheels of a site share, on [`ProfileGrids`].
+/// Profile that all wheels of a site share, on [`ProfileGrids`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct CommonProfile {
     /// Layout.
     pub grids: ProfileGrids,
-    /// Joint vector of irregularities, metres, positive down.
-    pub irregularity_m: Vec<f64>,
+    /// Joint vector of spline coefficients: irregularities in metres, positive down, or force deviations in newtons.
+    pub value: Vec<f64>,
 }
 
 impl CommonProfile {
-    /// Smooth rails.
+    /// Zero everywhere.
     pub fn zero(grids: ProfileGrids) -> Self {
-        let irregularity_m = vec![0.0; grids.len()];
-        Self { grids, irregularity_m }
+        let value = vec![0.0; grids.len()];
+        Self { grids, value }
     }
 
-    /// Irregularity at `x_m`, metres; zero outside the grid.
-    pub fn at(&self, side: Side, x_m: f64) -> f64 {
-        self.grids.entries(side, x_m).map(|(i, weight)| weight * self.irregularity_m[i]).sum()
+    /// Spline coefficients of one side for a class of wheels.
+    pub fn coefficients(&self, side: Side, class: WheelClass) -> Vec<f64> {
+        let mut out = vec![0.0; self.grids.grid(side).len];
+        for (part, weight) in self.grids.parts_of(side, class) {
+            for (o, v) in out.iter_mut().zip(&self.value[part.first..]) {
+                *o += weight * v;
+            }
+        }
+        out
+    }
+
+    /// Value for a class of wheels at `x_m`; zero outside the grid.
+    pub fn at(&self, side: Side, x_m: f64, class: WheelClass) -> f64 {
+        let coefficients = self.coefficients(side, class);
+        self.grids.grid(side).splines(x_m).map(|(i, weight)| weight * coefficients[i]).sum()
     }
 }

@@ -55,6 +55,41 @@ impl<const B: usize> Factor<B> {
             rhs[i] = x;
         }
     }
+
+    /// Blocks (i, j), i ≤ j, of the inverse for `first` ≤ i ≤ j ≤ `last`, row by row from the diagonal on: a backward
+    /// recursion costs one product per block, where solving for columns would go through the whole system each time.
+    pub fn inverse_blocks(&self, first: usize, last: usize) -> Vec<Vec<Block<B>>> {
+        let n = self.inverse.len();
+        let mut rows: Vec<Vec<Block<B>>> = Vec::new();
+        let mut diagonal = [[ZERO; B]; B];
+        for i in (first..n).rev() {
+            let below = diagonal;
+            diagonal = self.inverse[i];
+            if i + 1 < n {
+                let across = multiply(&self.coupling[i], &below);
+                for (r, row) in diagonal.iter_mut().enumerate() {
+                    for (c, value) in row.iter_mut().enumerate() {
+                        for k in 0..B {
+                            *value += across[r][k] * self.coupling[i][c][k];
+                        }
+                    }
+                }
+            }
+            if i <= last {
+                let mut row = vec![diagonal];
+                if let Some(next) = rows.last() {
+                    row.extend(next.iter().map(|block| negative_product(&self.coupling[i], block)));
+                }
+                rows.push(row);
+            }
+        }
+        rows.reverse();
+        rows
+    }
+}
+
+fn negative_product<const B: usize>(a: &Block<B>, b: &Block<B>) -> Block<B> {
+    multiply(a, b).map(|row| row.map(|v| -v))
 }
 
 fn apply<const B: usize>(m: &Block<B>, v: &[c64; B]) -> [c64; B] {
@@ -126,6 +161,17 @@ mod tests {
         let rhs: Vec<[c64; 2]> = (0..5).map(|k| [value(k, 1, 0.2), value(2, k, 0.9)]).collect();
         let mut x = rhs.clone();
         Factor::new(diagonal.clone(), &upper).solve(&mut x);
+        let blocks = Factor::new(diagonal.clone(), &upper).inverse_blocks(1, 3);
+        for (j, column) in [(1, 0), (2, 1), (3, 1)] {
+            let mut unit = vec![[ZERO; 2]; 5];
+            unit[j][column] = c64::new(1.0, 0.0);
+            Factor::new(diagonal.clone(), &upper).solve(&mut unit);
+            for i in 1..=j {
+                for r in 0..2 {
+                    assert!((blocks[i - 1][j - i][r][column] - unit[i][r]).norm() < 1e-12, "{i} {j}");
+                }
+            }
+        }
         for i in 0..5 {
             for r in 0..2 {
                 let mut sum = ZERO;

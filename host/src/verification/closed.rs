@@ -179,7 +179,7 @@ pub fn moving_on_simple_beam() -> Case {
     let track = reference::simple_beam(crossing.section, crossing.span_m, 24, crossing.damping_s);
     let rate_hz = 1000.0;
     let sampling = GreensSampling { rate_hz, len: 512, band_hz: [300.0, 400.0] };
-    let rail = RailGreens::new(&track, &reference::rigid_ballast(), Side::Crossing, 1.8, sampling);
+    let rail = RailGreens::of_crossing_rail(&track, &reference::rigid_ballast(), 1.8, sampling);
     let time: Vec<f64> =
         (0..=(crossing.span_m / crossing.speed_m_s * rate_hz) as usize).map(|k| k as f64 / rate_hz).collect();
     let x: Vec<f64> = time.iter().map(|t| crossing.speed_m_s * t - 0.5 * crossing.span_m).collect();

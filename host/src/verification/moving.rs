@@ -104,7 +104,7 @@ fn rail_case(track: &Track, pads: PadCase, x: &[f64], under_load: &[f64]) -> Res
     let rate_hz = 1000.0;
     // The kernel forgets after 0.15 s, 7.5 m: 10 m of approach are enough.
     let sampling = GreensSampling { rate_hz, len: 512, band_hz: [300.0, 400.0] };
-    let rail = RailGreens::new(track, &reference::ballast(track), Side::Crossing, 10.0, sampling);
+    let rail = RailGreens::of_crossing_rail(track, &reference::ballast(track), 10.0, sampling);
     let position: Vec<f64> = (0..=300).map(|k| -9.9 + k as f64 * SPEED_M_S / rate_hz).collect();
     let deflection = under_constant_force(&rail, &position, WHEEL_N);
     let spline = CubicSpline::new(&position, &deflection).ok_or(VerifyError::Empty("rail response"))?;

@@ -75,7 +75,8 @@ fn wheel_forces(
     let position_m = positions_m(site, index);
     let mut forces = Vec::new();
     for (k, kind) in kinds(&site.pattern).iter().enumerate() {
-        let estimator = Estimator::new(&model(site), &geometry(site, kind, index), &site.prior, &site.profile)?;
+        let estimator =
+            Estimator::new(&model(site), &geometry(site, kind, index), &site.prior, &site.profile)?;
         for group in &kind.groups {
             let window = site.window(index, &estimator, group.first);
             for (axle, force_n) in

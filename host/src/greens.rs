@@ -129,14 +129,18 @@ impl GreensFunctions {
             step_m: track.step_m,
             n_nodes: track.node_x_m.len(),
             shear_ratio: [phi(Side::Crossing), phi(Side::Stock)],
-            response: [time_series(&crossing, gain.len(), sampling, 0.0), time_series(&stock, gain.len(), sampling, 0.0)],
+            response: [
+                time_series(&crossing, gain.len(), sampling, 0.0),
+                time_series(&stock, gain.len(), sampling, 0.0),
+            ],
             spectrum: [crossing, stock],
         }
     }
 
     /// The same for forces within `half_m` of x = 0 only, all responses later by `delay_samples`.
     pub fn delayed(&self, delay_samples: f64, half_m: f64) -> Self {
-        let node = |x_m: f64| ((x_m - self.first_node_x_m) / self.step_m).clamp(0.0, self.n_nodes as f64 - 1.0);
+        let node =
+            |x_m: f64| ((x_m - self.first_node_x_m) / self.step_m).clamp(0.0, self.n_nodes as f64 - 1.0);
         let first = node(-half_m).floor() as usize;
         let last = (node(half_m).ceil() as usize).clamp((first + 1).min(self.n_nodes - 1), self.n_nodes - 1);
         let lines = self.spectrum[0].len() / (2 * self.n_nodes);

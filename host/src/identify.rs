@@ -1,7 +1,7 @@
 //! A site from recordings to calibrated model: speeds, ballast, axle times, common force profile.
 
 use crate::ballast::BallastParameters;
-use crate::ballast::evidence::{Calibration, EvidenceFit, DIFFERENCE, EvidenceProblem, TEMPERATURE, realign};
+use crate::ballast::evidence::{Calibration, DIFFERENCE, EvidenceFit, EvidenceProblem, TEMPERATURE, realign};
 use crate::ballast::quasi_static::{QuasiStatic, QuasiStaticFit};
 use crate::greens::{Chain, GreensFunctions, GreensSampling, Quantity};
 use crate::inverse::hierarchy::{SiteModel, SitePassage, SitePosterior};
@@ -118,8 +118,7 @@ pub fn identify<'s>(site: &'s Site, progress: &dyn Progress) -> Result<Identifie
             static_force_n: static_force_n[i],
         })
         .collect();
-    let problem =
-        EvidenceProblem { track: &track, direction, pattern: &pattern, vehicle: &crossing.vehicle };
+    let problem = EvidenceProblem { track: &track, direction, pattern: &pattern, vehicle: &crossing.vehicle };
     let (calibration, ballast) = calibrate(&problem, &quasi_static.parameters, &mut passages, progress)?;
     let greens = wide_greens(&track, &ballast.parameters);
     let nearby_greens =

@@ -169,8 +169,7 @@ impl Motion<'_> {
             // The companion of the leading wheel is behind it: at smaller x in facing direction.
             let companion_ahead_in_x = (axle == 1) == (self.direction > 0.0);
             [0, 1].map(|rail: usize| {
-                let spline =
-                    &self.interaction.companion[rail][usize::from(companion_ahead_in_x)];
+                let spline = &self.interaction.companion[rail][usize::from(companion_ahead_in_x)];
                 let value: Vec<f64> = (0..n)
                     .map(|i| {
                         self.static_force_n * (self.moving_load[rail][i] + spline.at(self.position_m[i]))
@@ -199,8 +198,7 @@ fn companion_compliance(
     axle_spacing_m: f64,
 ) -> [[CubicSpline; 2]; 2] {
     let reach = half_m + axle_spacing_m + 2.0 * track.step_m;
-    let nodes: Vec<usize> =
-        (0..track.node_x_m.len()).filter(|i| track.node_x_m[*i].abs() <= reach).collect();
+    let nodes: Vec<usize> = (0..track.node_x_m.len()).filter(|i| track.node_x_m[*i].abs() <= reach).collect();
     let x: Vec<f64> = nodes.iter().map(|i| track.node_x_m[*i]).collect();
     let deflection = track.static_deflections_under_axle(ballast_n_m2, &nodes);
     [0, 1].map(|rail: usize| {

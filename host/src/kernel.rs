@@ -73,10 +73,8 @@ pub fn package(site: &IdentifiedSite, done: &(dyn Fn() + Sync)) -> Result<Vec<u8
     let parts: Vec<Vec<Parts>> = speeds
         .par_iter()
         .map(|v| {
-            let bin = kinds
-                .iter()
-                .map(|kind| operator(site, &greens, kind, *v, &grid))
-                .collect::<Result<_, _>>();
+            let bin =
+                kinds.iter().map(|kind| operator(site, &greens, kind, *v, &grid)).collect::<Result<_, _>>();
             done();
             bin
         })
@@ -150,11 +148,7 @@ fn operator(
     grid_m: &[f64],
 ) -> Result<Parts, InverseError> {
     let geometry = GroupGeometry {
-        running: Running {
-            direction: site.direction,
-            speed_m_s,
-            static_force_n: site.static_force_n[0],
-        },
+        running: Running { direction: site.direction, speed_m_s, static_force_n: site.static_force_n[0] },
         axle_offset_m: &kind.offsets.own,
         train_offset_m: &kind.offsets.train,
     };
@@ -164,8 +158,7 @@ fn operator(
     let (g, n) = (grid_m.len(), estimator.len());
     let gain = Mat::from_fn(gains.len() * g, n, |i, k| gains[i / g].gain[(i % g, k)]);
     let base: Vec<f64> = gains.iter().flat_map(|a| a.base_n.clone()).collect();
-    let half_width_n =
-        gains.iter().flat_map(|a| a.sd_n.iter().map(|s| HALF_WIDTH_90 * s)).collect();
+    let half_width_n = gains.iter().flat_map(|a| a.sd_n.iter().map(|s| HALF_WIDTH_90 * s)).collect();
     let expand = leading_directions(&gain, &estimator);
     let project = expand.transpose() * &gain;
     let expected = Mat::from_fn(n, 1, |k, _| estimator.expected_m_s2[k]);

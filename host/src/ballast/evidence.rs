@@ -128,8 +128,10 @@ impl EvidenceProblem<'_> {
             }))
             .collect();
         let half_m = state.prior.half_m;
-        let models: Vec<LowModel> =
-            vectors.par_iter().map(|v| LowModel::new(self, &BallastParameters::from_vector(v), half_m)).collect();
+        let models: Vec<LowModel> = vectors
+            .par_iter()
+            .map(|v| LowModel::new(self, &BallastParameters::from_vector(v), half_m))
+            .collect();
         let prior_of = |k: usize| if k < 2 { STIFFNESS_PRIOR } else { P3_PRIOR };
         let moved = (0..3).map(|k| Moved {
             model: models[k + 1].track_model(),

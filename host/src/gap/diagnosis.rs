@@ -127,6 +127,9 @@ const PATH_PRIOR: PathPrior = PathPrior { inside_m: 10e-6, outside_m: 20e-6, sto
 /// Passages used for the search; all training passages for the final fit.
 const SEARCH_PASSAGES: usize = 12;
 
+/// Squared misfit per value of the model that clips too, above which no further effect is looked for.
+const CLIPPED_MISFIT: f64 = 4.0;
+
 /// Diagnoses a site.
 pub fn diagnose(
     site: &Site,
@@ -147,10 +150,18 @@ pub fn diagnose(
         base = super::base::base(site, &split.train, &search, &PATH_PRIOR, clips)?;
     }
     let mut session = Session::new(site, options, &split, &search, &mut base);
+    let mut searched = !options.quick;
     if let Some(range_m_s2) = clips {
         session.saturated(range_m_s2);
+        // What clipping has destroyed cannot be searched.
+        if session.inflation(&session.base.fit) > CLIPPED_MISFIT {
+            session.remarks.push(
+                "the recordings clip so much that nothing else can be told from them; use a sensor with a larger range".into(),
+            );
+            searched = false;
+        }
     }
-    if !options.quick {
+    if searched {
         session.search(progress)?;
     }
     let mut out = session.conclude(&before, progress)?;

@@ -48,9 +48,14 @@ pub fn round<'e>(
         let fit = if passes {
             let mut list: Vec<&dyn Effect> = accepted.to_vec();
             list.push(effect);
-            let mut from = state.clone();
-            from.effects.push(effect.starts(hints)[start].clone());
-            fit(frame, &list, from, subset, FitOptions::default()).ok()
+            let coordinates = effect.starts(hints)[start].clone();
+            starts(state, effect)
+                .into_iter()
+                .filter_map(|mut from| {
+                    from.effects.push(coordinates.clone());
+                    fit(frame, &list, from, subset, FitOptions::default()).ok()
+                })
+                .max_by(|a, b| a.log_evidence.total_cmp(&b.log_evidence))
         } else {
             None
         };
@@ -58,6 +63,24 @@ pub fn round<'e>(
     }
     Ok((tried, screening))
 }
+
+/// States from which the fit of an effect starts. An effect that does not begin smoothly may have driven the ballast of
+/// the base model far away; its fit also starts from nominal ballast and the scan.
+fn starts(state: &State, effect: &dyn Effect) -> Vec<State> {
+    let mut all = vec![state.clone()];
+    let nominal = super::base::NOMINAL;
+    let far = (state.ballast[0] - nominal.p1_n_m2.ln()).abs() > FAR;
+    if effect.nought().is_none() && far {
+        let mut fresh = state.clone();
+        fresh.ballast = [nominal.p1_n_m2.ln(), nominal.p2_n_m2.ln(), nominal.p3];
+        fresh.deviation_m.fill(0.0);
+        all.push(fresh);
+    }
+    all
+}
+
+/// Outer stiffness this far from nominal (logarithm) is hardly real.
+const FAR: f64 = 0.7;
 
 /// Largest expected gain in log evidence of an effect, and the start that promises it.
 fn best_start(screening: &Screening, effect: usize, e: &dyn Effect) -> (f64, usize) {

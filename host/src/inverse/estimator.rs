@@ -310,14 +310,9 @@ impl Expectation {
         window: Window,
     ) -> Self {
         let running = &geometry.running;
-        let (first, position_m) = own_positions(
-            running.direction,
-            running.speed_m_s,
-            prior.half_m,
-            model.greens.sampling.rate_hz,
-        );
-        let deviations =
-            mean_deviations_n(model, running, common, &position_m).map(|wheel| (first, wheel));
+        let (first, position_m) =
+            own_positions(running.direction, running.speed_m_s, prior.half_m, model.greens.sampling.rate_hz);
+        let deviations = mean_deviations_n(model, running, common, &position_m).map(|wheel| (first, wheel));
         let of = |deviation| passing(model, running, deviation, window.len);
         Self {
             window,

@@ -138,7 +138,8 @@ impl SiteModel<'_> {
         let (m, p) = (self.shared(), self.profile.grids.len());
         let bad = |_| InverseError::Covariance { len: m, noise_m_s2: self.prior.noise_m_s2 };
         let mut root = Mat::zeros(m, m);
-        let profile_root = self.profile.grids.prior_covariance(self.prior).llt(faer::Side::Lower).map_err(bad)?;
+        let profile_root =
+            self.profile.grids.prior_covariance(self.prior).llt(faer::Side::Lower).map_err(bad)?;
         root.submatrix_mut(0, 0, p, p).copy_from(profile_root.L());
         let mut centre = Mat::zeros(m, 1);
         root[(p, p)] = self.common_shift_sd_m / self.temperature.sqrt();
@@ -237,8 +238,12 @@ impl SiteModel<'_> {
         let mut products: Mat<f64> = Mat::zeros(width, width);
         let (mut log_likelihood, mut samples) = (0.0, 0);
         for kind in kinds(self.pattern) {
-            let estimator =
-                Estimator::new(&self.model, &self.geometry(&kind.offsets, passage), self.prior, self.profile)?;
+            let estimator = Estimator::new(
+                &self.model,
+                &self.geometry(&kind.offsets, passage),
+                self.prior,
+                self.profile,
+            )?;
             let (n, fixed) = (estimator.len(), m - 1);
             let mut columns = Mat::zeros(n, fixed + kind.groups.len() * (OWN + 1));
             columns.submatrix_mut(0, 0, n, fixed).copy_from(&self.fixed_columns(&estimator, &kind, passage));
@@ -292,7 +297,13 @@ impl SiteModel<'_> {
         })
     }
 
-    fn eliminate_own(&self, products: &Mat<f64>, log_likelihood: f64, residual: f64, samples: usize) -> Statistics {
+    fn eliminate_own(
+        &self,
+        products: &Mat<f64>,
+        log_likelihood: f64,
+        residual: f64,
+        samples: usize,
+    ) -> Statistics {
         let m = self.shared();
         let value = [products[(m + OWN, m)], products[(m + OWN, m + 1)]];
         let precision = [

@@ -133,8 +133,7 @@ const LEAD_SCALE: f64 = 0.1;
 impl ProfileGrids {
     /// Irregularity on both rails within `half_m` of x = 0.
     pub fn irregularity(half_m: f64, crossing_step_m: f64, stock_step_m: f64) -> Self {
-        let parts =
-            [(Side::Crossing, Regressor::Constant, 1.0), (Side::Stock, Regressor::Constant, 1.0)];
+        let parts = [(Side::Crossing, Regressor::Constant, 1.0), (Side::Stock, Regressor::Constant, 1.0)];
         Self::with_parts(half_m, crossing_step_m, stock_step_m, &parts, 1.0, Kind::Irregularity)
     }
 
@@ -227,8 +226,7 @@ impl ProfileGrids {
             let mut block = match self.kind {
                 Kind::Force => prior.covariance(&positions, &sd, step),
                 Kind::Irregularity => {
-                    let long: Vec<f64> =
-                        positions.iter().map(|x| prior.dip_sd_m(p.side, *x)).collect();
+                    let long: Vec<f64> = positions.iter().map(|x| prior.dip_sd_m(p.side, *x)).collect();
                     let long_step = grid.step_m / prior.dip_correlation_m;
                     Mat::from_fn(grid.len, grid.len, |i, j| {
                         sd[i] * sd[j] * matern_at(i.abs_diff(j), step)

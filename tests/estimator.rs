@@ -4,7 +4,8 @@ mod tolerance;
 
 use cpcm::greens::{Chain, GreensFunctions, Quantity};
 use cpcm::inverse::{
-    CommonProfile, Estimator, Excitation, GroupGeometry, InverseError, Prior, ProfileGrids, Running, TrackModel,
+    CommonProfile, Estimator, Excitation, GroupGeometry, InverseError, Prior, ProfileGrids, Running,
+    TrackModel,
 };
 use cpcm::recording::read_site;
 use cpcm::track::{Mesh, Track};

@@ -59,3 +59,8 @@ pub const VARIANCE: f64 = 1e-5;
 /// Passage simulation with reduced sleepers against all degrees of freedom, RMS below 250 Hz, contact force and sensor
 /// acceleration: measured 9e-5 and 4e-4, with five modes instead of six 4e-4 and 6e-3.
 pub const REDUCTION: f64 = 1e-3;
+
+/// `closed_fraction` from `predictions.parquet` against `diagnosis.json`: what the contract allows.
+pub const CLOSED_FRACTION: f64 = 0.01;
+/// Gaps from `predictions.parquet` against `diagnosis.json`, relative: rounding of sums of some 10⁴ squares.
+pub const GAP_RECOMPUTED: f64 = 1e-9;

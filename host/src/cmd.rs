@@ -4,8 +4,10 @@
 
 mod analyse;
 mod bench;
+mod blind_trial;
 mod convert;
 mod demo;
+mod diagnose;
 mod kernel;
 pub mod node;
 mod output;
@@ -40,6 +42,8 @@ enum Command {
     Simulate(simulate::SimulateArgs),
     Kernel(kernel::KernelArgs),
     Node(node::NodeArgs),
+    Diagnose(diagnose::DiagnoseArgs),
+    BlindTrial(blind_trial::BlindTrialArgs),
     Verify(verify::VerifyArgs),
     Convert(convert::ConvertArgs),
     Bench(bench::BenchArgs),
@@ -54,6 +58,8 @@ pub fn main() -> ExitCode {
         Command::Simulate(args) => args.run(),
         Command::Kernel(args) => args.run(),
         Command::Node(args) => args.run(),
+        Command::Diagnose(args) => args.run(),
+        Command::BlindTrial(args) => args.run(),
         Command::Verify(args) => args.run(),
         Command::Convert(args) => args.run(),
         Command::Bench(args) => args.run(),

@@ -21,6 +21,7 @@ pub mod indicator;
 pub mod kernel;
 pub mod node_client;
 pub mod node_sim;
+pub mod gap;
 pub mod analysis;
 pub mod pipeline;
 pub mod progress;

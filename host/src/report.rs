@@ -4,6 +4,7 @@
 
 mod accelerations;
 mod ballast;
+pub mod diagnosis;
 mod displacement;
 mod forces;
 pub mod growth;

@@ -1,0 +1,209 @@
+//! `cpcm blind-trial`
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use anyhow::{Context, bail};
+use clap::Args;
+
+use super::output::{print, print_json};
+use super::progress::Bar;
+use crate::gap::trial::{Question, Score, draw, score};
+use crate::progress::Progress;
+use crate::recording::files::{create_dir, read_bytes, write_atomic};
+use crate::recording::{Format, write_site};
+
+/// Check the diagnosis on simulated sites whose effect is withheld from it
+///
+/// Every trial draws a site and an effect, simulates it with another mesh, step and damping than the diagnosis has, runs
+/// `cpcm diagnose` in a process of its own that sees only the site, and then opens the answer, which until then is in no
+/// file. Writes trials.json and trials.csv.
+#[derive(Args)]
+#[command(after_help = "Example:\n  cpcm blind-trial --seed 1 --trials 20 --out trials")]
+pub(super) struct BlindTrialArgs {
+    /// Same seed, same trials
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Number of trials
+    #[arg(long, default_value_t = 20)]
+    trials: u64,
+    /// Number of the first trial: continues an earlier run
+    #[arg(long, default_value_t = 0)]
+    first: u64,
+    /// Directory for the scores; created when missing
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// Keep the sites and their diagnoses below the output directory
+    #[arg(long)]
+    keep: bool,
+    /// Print the scores as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+impl BlindTrialArgs {
+    pub(super) fn run(self) -> anyhow::Result<()> {
+        create_dir(&self.out)?;
+        let bar = Bar::new();
+        bar.begin("trials", self.trials);
+        let mut scores = Vec::new();
+        for index in self.first..self.first + self.trials {
+            let kept = self.keep.then(|| self.out.join(format!("trial-{index}")));
+            scores.push(one(self.seed, index, kept.as_deref()).with_context(|| format!("trial {index}"))?);
+            bar.step();
+            self.write(&scores)?;
+        }
+        drop(bar);
+        match self.json {
+            true => print_json(&serde_json::to_value(&scores)?),
+            false => print(&table(&scores)),
+        }
+    }
+
+    fn write(&self, scores: &[Score]) -> anyhow::Result<()> {
+        write_atomic(&self.out.join("trials.json"), serde_json::to_string_pretty(scores)?.as_bytes())?;
+        write_atomic(&self.out.join("trials.csv"), csv(scores).as_bytes())?;
+        write_atomic(&self.out.join("table.txt"), table(scores).as_bytes())?;
+        Ok(())
+    }
+}
+
+/// Draws, diagnoses and scores one trial.
+fn one(seed: u64, index: u64, kept: Option<&Path>) -> anyhow::Result<Score> {
+    let work = tempfile::tempdir().context("no temporary directory")?;
+    let trial = draw(seed, index, work.path())?;
+    let place = kept.unwrap_or(work.path());
+    let (site, out) = (place.join("site"), place.join("diagnosis"));
+    write_site(&site, &trial.site, Format::Parquet)?;
+    let diagnosis = diagnose(&site, &out, trial.exclude)?;
+    Ok(score(trial.answer, &diagnosis))
+}
+
+/// Runs the diagnosis in a process of its own.
+fn diagnose(site: &Path, out: &Path, exclude: Option<&str>) -> anyhow::Result<serde_json::Value> {
+    let program = std::env::current_exe().context("this program has no path")?;
+    let mut command = Command::new(program);
+    command.arg("diagnose").arg(site).arg("--out").arg(out);
+    if let Some(name) = exclude {
+        command.args(["--exclude", name]);
+    }
+    let run = command.output().context("cannot start the diagnosis")?;
+    if !run.status.success() {
+        bail!("the diagnosis failed: {}", String::from_utf8_lossy(&run.stderr));
+    }
+    Ok(serde_json::from_slice(&read_bytes(&out.join("diagnosis.json"))?)?)
+}
+
+fn csv(scores: &[Score]) -> String {
+    let mut text = String::from(
+        "question,effects,strength_to_floor,verdict,named,first_group,probability,right,covered,closed\n",
+    );
+    for s in scores {
+        text.push_str(&format!(
+            "{:?},{},{:.3},{},{},{},{:.3},{},{},{:.3}\n",
+            s.answer.question,
+            s.answer.effects.join(" "),
+            s.strength_to_floor,
+            s.verdict,
+            s.named.join(" "),
+            s.first_group.join(" "),
+            s.probability,
+            s.right,
+            s.covered.map_or(String::new(), |c| c.to_string()),
+            s.closed_fraction,
+        ));
+    }
+    text
+}
+
+/// An effect is strong when it changes the signal by more than twice the noise floor.
+const STRONG: f64 = 2.0;
+
+/// Right answers by question and effect, with 90 % intervals (Wilson).
+fn table(scores: &[Score]) -> String {
+    let mut text = String::new();
+    let mut line = |name: &str, of: Vec<&Score>| {
+        let right = of.iter().filter(|s| s.right).count();
+        let (low, high) = wilson(right, of.len());
+        text.push_str(&format!(
+            "{name:44} {right:4} of {:4}  {:3.0} % ({low:3.0} … {high:3.0})\n",
+            of.len(),
+            percent(right, of.len())
+        ));
+    };
+    let asked = |q: Question| scores.iter().filter(move |s| s.answer.question == q);
+    let strong = |s: &&Score| s.strength_to_floor > STRONG;
+    line("no effect: no-gap", asked(Question::Nothing).collect());
+    line("one effect, all strengths", asked(Question::One).collect());
+    line("one effect, above twice the floor", asked(Question::One).filter(strong).collect());
+    line("left out: unexplained or right stage", asked(Question::LeftOut).collect());
+    line("left out, above twice the floor", asked(Question::LeftOut).filter(strong).collect());
+    line("pair: both", asked(Question::Pair).collect());
+    line("pair, above twice the floor", asked(Question::Pair).filter(strong).collect());
+    let mut by: BTreeMap<&str, Vec<&Score>> = BTreeMap::new();
+    for s in asked(Question::One) {
+        by.entry(s.answer.effects[0]).or_default().push(s);
+    }
+    for (name, list) in by {
+        line(&format!("  {name}"), list);
+    }
+    let covered: Vec<bool> = scores.iter().filter_map(|s| s.covered).collect();
+    let inside = covered.iter().filter(|c| **c).count();
+    let (low, high) = wilson(inside, covered.len());
+    text.push_str(&format!(
+        "{:44} {inside:4} of {:4}  {:3.0} % ({low:3.0} … {high:3.0})\n",
+        "parameter inside its 90 % interval",
+        covered.len(),
+        percent(inside, covered.len())
+    ));
+    text.push_str(&reliability(scores));
+    text
+}
+
+/// Stated probability of the first effect against how often it was right.
+fn reliability(scores: &[Score]) -> String {
+    let mut text = String::new();
+    for (low, high) in [(0.0, 0.5), (0.5, 0.8), (0.8, 0.95), (0.95, 1.01)] {
+        let of: Vec<&Score> = scores
+            .iter()
+            .filter(|s| s.answer.question == Question::One && !s.named.is_empty())
+            .filter(|s| s.probability >= low && s.probability < high)
+            .collect();
+        let right = of
+            .iter()
+            .filter(|s| s.named.first().map(String::as_str) == s.answer.effects.first().copied())
+            .count();
+        let name = format!("stated probability {low:.2} … {:.2}: first is right", f64::min(high, 1.0));
+        text.push_str(&format!("{name:44} {right:4} of {:4}\n", of.len()));
+    }
+    text
+}
+
+fn percent(part: usize, of: usize) -> f64 {
+    100.0 * part as f64 / of.max(1) as f64
+}
+
+/// 90 % interval of a share, %.
+fn wilson(part: usize, of: usize) -> (f64, f64) {
+    if of == 0 {
+        return (0.0, 100.0);
+    }
+    let (n, p, z) = (of as f64, part as f64 / of as f64, 1.645);
+    let middle = p + z * z / (2.0 * n);
+    let half = z * (p * (1.0 - p) / n + z * z / (4.0 * n * n)).sqrt();
+    let scale = 100.0 / (1.0 + z * z / n);
+    (scale * (middle - half), scale * (middle + half))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn analytic_wilson_interval() {
+        // Half of 100 at z = 1.645: 50 ± 8.1 %.
+        let (low, high) = wilson(50, 100);
+        assert!((low - 41.9).abs() < 0.1 && (high - 58.1).abs() < 0.1, "{low} {high}");
+    }
+}

@@ -1,0 +1,85 @@
+//! `cpcm diagnose`
+
+use std::path::PathBuf;
+
+use anyhow::Context;
+use clap::Args;
+
+use super::output::{print, print_json, warn_skipped};
+use super::progress::Bar;
+use crate::gap::diagnosis::{DiagnoseOptions, Diagnosis, diagnose};
+use crate::gap::results::{diagnosis_json, write_diagnosis};
+use crate::recording::read_site;
+use crate::report::diagnosis::sentence;
+
+/// Say why recordings and simulation of a crossing differ: where, which effect, and how far the gap shrinks with it
+///
+/// Reads a site directory and writes diagnosis.json, predictions.parquet and diagnosis.html. Needs crossing.toml and
+/// recordings; a laser scan, several trains, speeds, loads and temperatures make it better, and the page says which of
+/// them is missing.
+#[derive(Args)]
+#[command(after_help = "Example:\n  cpcm diagnose tests/data/field/known-voided-sleepers --out diagnosis")]
+pub(super) struct DiagnoseArgs {
+    /// Site directory
+    site: PathBuf,
+    /// Directory for the results; created when missing
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// Say where the gap is, not which effect makes it
+    #[arg(long)]
+    quick: bool,
+    /// Leave an effect out of the catalogue; may be given more than once
+    #[arg(long = "exclude", value_name = "EFFECT")]
+    exclude: Vec<String>,
+    /// Print diagnosis.json
+    #[arg(long)]
+    json: bool,
+}
+
+impl DiagnoseArgs {
+    pub(super) fn run(self) -> anyhow::Result<()> {
+        let site =
+            read_site(&self.site).with_context(|| format!("cannot read site {}", self.site.display()))?;
+        warn_skipped(&site.skipped);
+        let options = DiagnoseOptions { quick: self.quick, exclude: self.exclude };
+        let found = diagnose(&site, &options, &Bar::new())
+            .with_context(|| format!("cannot diagnose site {}", self.site.display()))?;
+        write_diagnosis(&self.out, &site.crossing.name, &found)
+            .with_context(|| format!("cannot write results to {}", self.out.display()))?;
+        if self.json {
+            return print_json(&diagnosis_json(&found));
+        }
+        print(&format!("{}report: {}\n", summary(&found), self.out.join("diagnosis.html").display()))
+    }
+}
+
+fn summary(d: &Diagnosis) -> String {
+    let g = &d.gap;
+    let mut text = format!(
+        "{}\ngap           {:.3} before, {:.3} after, noise floor {:.3}\nclosed        {:.0} % (90 %: {:.0} … {:.0} %) on {} held-out passages\n",
+        sentence(d),
+        g.before,
+        g.after,
+        g.noise_floor,
+        100.0 * g.closed_fraction,
+        100.0 * g.closed_fraction_ci90[0],
+        100.0 * g.closed_fraction_ci90[1],
+        d.predictions.len(),
+    );
+    for e in &d.effects {
+        text.push_str(&format!("effect        {} (probability {:.2})\n", e.name, e.probability));
+        for (name, value, lower, upper) in &e.parameters {
+            text.push_str(&format!("              {name} {value:.4e} (90 %: {lower:.4e} … {upper:.4e})\n"));
+        }
+        if !e.indistinguishable_from.is_empty() {
+            text.push_str(&format!(
+                "              cannot be told from: {}\n",
+                e.indistinguishable_from.join(", ")
+            ));
+        }
+    }
+    for r in &d.remarks {
+        text.push_str(&format!("note          {r}\n"));
+    }
+    text
+}

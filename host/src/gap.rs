@@ -1,0 +1,40 @@
+//! Why recordings and model differ: the sim-to-real gap and its diagnosis.
+
+pub mod base;
+pub mod data;
+pub mod diagnosis;
+pub mod effect;
+pub mod effects;
+pub mod fit;
+pub mod forward;
+pub mod latent;
+pub mod linear;
+pub mod measure;
+pub mod results;
+pub mod select;
+pub mod splines;
+pub mod split;
+pub mod trial;
+pub mod variation;
+pub mod verdict;
+pub mod where_;
+pub mod world;
+
+use crate::passage::SimulationError;
+
+/// Why a site cannot be diagnosed.
+#[derive(Debug, thiserror::Error)]
+pub enum GapError {
+    /// The forward simulation refuses the assumed site.
+    #[error("the forward simulation failed: {0}")]
+    Simulation(#[from] SimulationError),
+    /// A system of equations without solution.
+    #[error("{what} has no unique solution; check speeds, loads and scan of the site")]
+    Singular {
+        /// Which one.
+        what: &'static str,
+    },
+    /// No train in a recording.
+    #[error("no passage with a train in it is left; the recordings are silent")]
+    Silent,
+}

@@ -1,0 +1,315 @@
+//! The base model of a site: what `analyse` assumes, fitted to the training passages.
+
+use faer::Mat;
+use rayon::prelude::*;
+
+use super::GapError;
+use super::data::{Observed, window_m};
+use super::effect::Effect;
+use super::fit::{Fit, FitOptions, Frame, State, fit};
+use super::linear::{BogieResponses, Linear};
+use super::splines::{PathSplines, matern};
+use super::variation::{Shapes, Variation, estimate, scatter};
+use super::world::{Bed, Path, SensorModel, Wheels, World};
+use crate::ballast::BallastParameters;
+use crate::ballast::quasi_static::QuasiStatic;
+use crate::passage::Profile;
+use crate::reconstruct::{Recording, SpeedSearch, estimate_speed};
+use crate::recording::Site;
+use crate::track::{Mesh, Side, Track};
+use crate::vehicle::{AxlePattern, static_wheel_force_n};
+
+/// The estimated path covers this far on both sides of x = 0, metres.
+const HALF_M: f64 = 3.4;
+/// Spacing of its splines on the two rails, metres.
+const STEP_M: [f64; 2] = [0.055, 0.11];
+/// A scan is continued to zero over this length, metres.
+const SCAN_FADE_M: f64 = 0.3;
+/// Correlation length of the path's deviation, metres.
+const CORRELATION_M: f64 = 0.15;
+/// Start of the quasi-static fit.
+pub const NOMINAL: BallastParameters = BallastParameters { p1_n_m2: 30e6, p2_n_m2: 25e6, p3: 0.4 };
+
+/// Prior standard deviation of the path's deviation, metres.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PathPrior {
+    /// Inside the scan.
+    pub inside_m: f64,
+    /// Elsewhere on the crossing side.
+    pub outside_m: f64,
+    /// Stock rail.
+    pub stock_m: f64,
+}
+
+/// Base model with everything that the fits of effects reuse.
+pub struct Base {
+    /// Frame of the fits.
+    pub frame: Frame,
+    /// Fit without effects.
+    pub fit: Fit,
+    /// Wheel-to-wheel variation.
+    pub variation: Variation,
+    /// Shapes of the covariances, per passage.
+    pub shapes: Vec<Shapes>,
+    /// Window, metres of travel.
+    pub window_m: (f64, f64),
+}
+
+/// Reads the recordings.
+pub fn observe(site: &Site) -> Result<Vec<Observed>, GapError> {
+    let crossing = &site.crossing;
+    let pattern = AxlePattern::of_vehicle(&crossing.vehicle);
+    let track = Track::of_crossing(crossing, Mesh::default());
+    let direction = crossing.traffic_direction.sign();
+    let found: Vec<(usize, Recording, f64)> = site
+        .passages
+        .par_iter()
+        .enumerate()
+        .filter_map(|(i, p)| {
+            let recording = Recording::new(p, &crossing.sensor);
+            let search = match p.speed_m_s {
+                Some(v) => SpeedSearch { range_m_s: [0.95 * v, 1.05 * v], ..SpeedSearch::default() },
+                None => SpeedSearch::default(),
+            };
+            estimate_speed(&recording, &pattern, search).map(|v| (i, recording, v))
+        })
+        .collect();
+    if found.is_empty() {
+        return Err(GapError::Silent);
+    }
+    let force = |i: usize| static_wheel_force_n(site.passages[i].axle_load_kg, crossing.vehicle.gravity_m_s2);
+    let inputs: Vec<(&Recording, f64, f64)> = found.iter().map(|(i, r, v)| (r, *v, force(*i))).collect();
+    let first_axle_s = QuasiStatic::new(&track, direction, &pattern, &inputs).align(&NOMINAL);
+    let sensor_along_m = direction * track.sleeper_x_m[track.sensor_sleeper];
+    let window = window_m(&pattern, sensor_along_m, crossing.vehicle.axle_spacing_m);
+    Ok(found
+        .into_iter()
+        .zip(first_axle_s)
+        .map(|((i, recording, speed_m_s), first_axle_s)| {
+            let p = &site.passages[i];
+            let mut observed = Observed {
+                passage_id: p.passage_id,
+                recording,
+                speed_m_s,
+                operator_m_s: p.speed_m_s,
+                temperature_c: p.temperature_c,
+                axle_load_kg: p.axle_load_kg,
+                first_axle_s,
+                bogie_m: pattern.offset_m.iter().step_by(2).copied().collect(),
+                windows: Vec::new(),
+                mean: Vec::new(),
+                first_s: 0.0,
+            };
+            observed.cut(window);
+            observed.line_up(window);
+            observed
+        })
+        .collect())
+}
+
+/// World as the operator describes it.
+pub fn nominal_world(site: &Site, ballast: BallastParameters) -> Result<World, GapError> {
+    let scan = match &site.scan {
+        Some(s) => Profile::of_scan(&s.position_m, &s.irregularity_m, SCAN_FADE_M)?,
+        None => Profile::level(),
+    };
+    Ok(World {
+        crossing: site.crossing.clone(),
+        ballast,
+        bed: Bed::default(),
+        wheels: Wheels::default(),
+        path: Path { scan, deviation: PathSplines::level(HALF_M, STEP_M), half_m: HALF_M, stock_dip: None },
+        sensor: SensorModel::default(),
+    })
+}
+
+/// Factor of the prior covariance of the path's deviation.
+pub fn path_root(site: &Site, grids: &PathSplines, prior: &PathPrior) -> Result<Mat<f64>, GapError> {
+    let ends = site.scan.as_ref().map(|s| (s.position_m[0], s.position_m[s.position_m.len() - 1]));
+    let sd = |side: Side, x: f64| match (side, ends) {
+        (Side::Stock, _) => prior.stock_m,
+        (Side::Crossing, Some((a, b))) if x >= a && x <= b => prior.inside_m,
+        // Where the scan is cut off, its continuation is a guess.
+        (Side::Crossing, Some((a, b))) => {
+            let beyond = (a - x).max(x - b);
+            prior.outside_m + (100e-6 - prior.outside_m) * (-(beyond / 0.3).powi(2)).exp().min(1.0) * 0.5
+        }
+        (Side::Crossing, None) => {
+            let inside = (-0.5 * ((x.abs() - 1.5).max(0.0) / 0.25).powi(2)).exp();
+            prior.outside_m + (0.6e-3 - prior.outside_m) * inside
+        }
+    };
+    let knots = grids.knots();
+    let covariance = Mat::from_fn(knots.len(), knots.len(), |i, j| {
+        let ((a, x), (b, y)) = (knots[i], knots[j]);
+        if a != b {
+            return 0.0;
+        }
+        let jitter = if i == j { 1e-6 } else { 0.0 };
+        sd(a, x) * sd(b, y) * (matern((x - y).abs() / CORRELATION_M) + jitter)
+    });
+    let factor = covariance
+        .llt(faer::Side::Lower)
+        .map_err(|_| GapError::Singular { what: "the prior of the path" })?;
+    Ok(factor.L().to_owned())
+}
+
+/// Relative error of the forward model that all wheels share, as a part of the mean window's RMS.
+const DISCREPANCY: f64 = 0.01;
+
+/// Fits the base model to the passages of `subset`; the first, rough fits use `search` only. With `range_m_s2` the
+/// transducer is known to clip there.
+pub fn base(
+    site: &Site,
+    subset: &[usize],
+    search: &[usize],
+    prior: &PathPrior,
+    range_m_s2: Option<f64>,
+) -> Result<Base, GapError> {
+    let mut observed = observe(site)?;
+    let crossing = &site.crossing;
+    let pattern = AxlePattern::of_vehicle(&crossing.vehicle);
+    let direction = crossing.traffic_direction.sign();
+    let track = Track::of_crossing(crossing, Mesh::default());
+    let sensor_along_m = direction * track.sleeper_x_m[track.sensor_sleeper];
+    let window = window_m(&pattern, sensor_along_m, crossing.vehicle.axle_spacing_m);
+    let force = |o: &Observed| static_wheel_force_n(o.axle_load_kg, crossing.vehicle.gravity_m_s2);
+    let inputs: Vec<(&Recording, f64, f64)> = subset
+        .iter()
+        .map(|i| (&observed[*i].recording, observed[*i].speed_m_s, force(&observed[*i])))
+        .collect();
+    let quasi_static = QuasiStatic::new(&track, direction, &pattern, &inputs).fit(NOMINAL).parameters;
+    let start = match range_m_s2 {
+        // A clipped record has steps in its velocity, which the quasi-static fit takes for deflection.
+        Some(_) => NOMINAL,
+        None => BallastParameters {
+            p2_n_m2: (1.5 * quasi_static.p2_n_m2).max(0.3 * quasi_static.p1_n_m2),
+            p3: 0.4,
+            ..quasi_static
+        },
+    };
+    let mut world = nominal_world(site, start)?;
+    world.sensor.range_m_s2 = range_m_s2;
+    align(&world, &mut observed, window)?;
+    observed.par_iter_mut().for_each(|o| o.line_up(window));
+    let grids = world.path.deviation.clone();
+    let deviation_root = path_root(site, &grids, prior)?;
+    // Without a scan the path must be found together with the ballast; with one, ballast and axle times come first.
+    let responses: Vec<BogieResponses> = match site.scan {
+        None => linearise(&world, &observed)?.0,
+        Some(_) => observed.iter().map(|o| BogieResponses::without_path(o.mean.len(), grids.len())).collect(),
+    };
+    let factors = rough_factors(&observed);
+    let mut frame = Frame { base: world, observed, responses, factors, deviation_root };
+    let state = State::start(&frame, &start);
+    let options = FitOptions { steps: 5, renew: 3, tolerance: 3.0 };
+    let first = fit(&frame, &[], state, search, options)?;
+    let (responses, shapes) = linearise(&first.state.world(&frame, &[]), &frame.observed)?;
+    frame.responses = responses;
+    let second = fit(&frame, &[], first.state, search, options)?;
+    let variation = variation_of(&frame, &shapes, &[], &second.state, search)?;
+    frame.factors = self::factors(&frame.observed, &shapes, &variation)?;
+    let fit = fit(&frame, &[], second.state, subset, FitOptions::default())?;
+    Ok(Base { frame, fit, variation, shapes, window_m: window })
+}
+
+/// Estimates the wheels' variation anew in a given state.
+pub fn fit_variation(
+    base: &mut Base,
+    effects: &[&dyn Effect],
+    state: &State,
+    subset: &[usize],
+) -> Result<(), GapError> {
+    base.variation = variation_of(&base.frame, &base.shapes, effects, state, subset)?;
+    base.frame.factors = factors(&base.frame.observed, &base.shapes, &base.variation)?;
+    Ok(())
+}
+
+/// Share of the signal that the first fits may miss: a poor start is not taken too seriously.
+const ROUGH_SHARE: f64 = 0.1;
+
+/// Covariance factors before the variation is known: white.
+fn rough_factors(observed: &[Observed]) -> Vec<faer::linalg::solvers::Llt<f64>> {
+    observed
+        .iter()
+        .filter_map(|o| {
+            let variance = (ROUGH_SHARE * crate::signal::rms(&o.mean)).powi(2) + 1e-4;
+            let n = o.mean.len();
+            Mat::<f64>::from_fn(n, n, |i, j| if i == j { variance } else { 0.0 }).llt(faer::Side::Lower).ok()
+        })
+        .collect()
+}
+
+/// Linear responses and shapes of the variation around a world, per passage.
+fn linearise(world: &World, observed: &[Observed]) -> Result<(Vec<BogieResponses>, Vec<Shapes>), GapError> {
+    let linear = Linear::new(world, observed)?;
+    let grids = &world.path.deviation;
+    Ok(observed
+        .par_iter()
+        .map(|o| {
+            let r = linear.responses(o);
+            let shapes = Shapes::new(&r, grids, &world.path);
+            (r, shapes)
+        })
+        .unzip())
+}
+
+/// Search for the axle times, metres of travel in both directions.
+const ALIGN_M: f64 = 0.6;
+
+/// Moves the first axle of every passage to where a world's prediction fits best.
+pub fn align(world: &World, observed: &mut [Observed], window: (f64, f64)) -> Result<(), GapError> {
+    observed.par_iter_mut().try_for_each(|o| {
+        let response = super::forward::Simulator::new(world, o.axle_load_kg)?.response(o.speed_m_s)?;
+        for reach in [ALIGN_M, 0.2 * ALIGN_M] {
+            let late_s = o.lag(&response, world.sensor.gain_at(o.temperature_c), reach / o.speed_m_s);
+            o.delay(late_s, window);
+        }
+        Ok(())
+    })
+}
+
+/// Factors of the covariances of the mean windows.
+fn factors(
+    observed: &[Observed],
+    shapes: &[Shapes],
+    variation: &Variation,
+) -> Result<Vec<faer::linalg::solvers::Llt<f64>>, GapError> {
+    observed
+        .par_iter()
+        .zip(shapes)
+        .map(|(o, s)| {
+            let scale = 1.0 / o.windows.len().max(1) as f64;
+            let discrepancy = (DISCREPANCY * crate::signal::rms(&o.mean)).powi(2);
+            let mut covariance = s.covariance(variation) * faer::Scale(scale);
+            for k in 0..o.mean.len() {
+                covariance[(k, k)] += discrepancy;
+            }
+            covariance
+                .llt(faer::Side::Lower)
+                .map_err(|_| GapError::Singular { what: "the covariance of a passage" })
+        })
+        .collect()
+}
+
+/// Residual windows of every bogie of a passage for a state.
+fn variation_of(
+    frame: &Frame,
+    shapes: &[Shapes],
+    effects: &[&dyn Effect],
+    state: &State,
+    subset: &[usize],
+) -> Result<Variation, GapError> {
+    let world = state.world(frame, effects);
+    let responses = super::fit::simulate(&world, frame, subset)?;
+    let scatters: Vec<(&Shapes, Mat<f64>)> = subset
+        .iter()
+        .zip(&responses)
+        .map(|(i, r)| {
+            let o = &frame.observed[*i];
+            let residuals = o.window_residuals(r, 1.0, state.shift_m[*i] / o.speed_m_s);
+            (&shapes[*i], scatter(&residuals))
+        })
+        .collect();
+    Ok(estimate(&scatters))
+}

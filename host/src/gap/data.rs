@@ -1,0 +1,188 @@
+//! Recordings as the diagnosis sees them: one window per bogie, all windows of a passage on the same time axis.
+
+use super::forward::{BAND_HZ, Response};
+use crate::reconstruct::Recording;
+use crate::vehicle::AxlePattern;
+
+/// Rate of the windows, Hz.
+pub const RATE_HZ: f64 = 800.0;
+/// The train is gone this far from x = 0, metres.
+const CLEAR_M: f64 = 8.0;
+/// Longest stretch of travel in a window, metres; shorter where bogies follow one another more closely.
+const LONGEST_M: f64 = 7.25;
+
+/// One passage.
+#[derive(Clone, Debug)]
+pub struct Observed {
+    /// As in the recordings.
+    pub passage_id: i32,
+    /// Corrected recording.
+    pub recording: Recording,
+    /// Speed by the recorder's clock, m/s.
+    pub speed_m_s: f64,
+    /// The operator's speed, m/s.
+    pub operator_m_s: Option<f64>,
+    /// Temperature at the sensor, °C.
+    pub temperature_c: f64,
+    /// Axle load as the operator has it, kg.
+    pub axle_load_kg: f64,
+    /// Time of the first axle at x = 0, s.
+    pub first_axle_s: f64,
+    /// Front axle of each bogie behind the first axle, metres.
+    pub bogie_m: Vec<f64>,
+    /// Windows of the bogies, m/s².
+    pub windows: Vec<Vec<f64>>,
+    /// Their mean.
+    pub mean: Vec<f64>,
+    /// Time of the first window sample after the bogie's front axle is at x = 0, s (negative).
+    pub first_s: f64,
+}
+
+/// Where a window lies, metres of travel of the front axle: first, length.
+pub fn window_m(pattern: &AxlePattern, sensor_along_m: f64, axle_spacing_m: f64) -> (f64, f64) {
+    let bogies: Vec<f64> = pattern.offset_m.iter().step_by(2).copied().collect();
+    let closest = bogies.windows(2).map(|p| p[1] - p[0]).fold(LONGEST_M, f64::min);
+    let length = closest.max(axle_spacing_m + 2.0);
+    (sensor_along_m + 0.5 * axle_spacing_m - 0.5 * length, length)
+}
+
+impl Observed {
+    /// Cuts the windows anew around the current first axle.
+    pub fn cut(&mut self, (first_m, length_m): (f64, f64)) {
+        let n = (length_m / self.speed_m_s * RATE_HZ).floor() as usize;
+        self.first_s = first_m / self.speed_m_s;
+        self.windows = self
+            .bogie_m
+            .iter()
+            .map(|offset| {
+                let start = self.first_axle_s + offset / self.speed_m_s + self.first_s;
+                self.recording.window(start, RATE_HZ, n, BAND_HZ)
+            })
+            .collect();
+        self.mean = mean_of(&self.windows);
+    }
+
+    /// Corrects the speed so that the bogies line up with one another: each window's lag behind the mean, regressed on the
+    /// bogie's distance from the middle of the train. Needs no model.
+    pub fn line_up(&mut self, window: (f64, f64)) {
+        for _ in 0..LINE_UP_ROUNDS {
+            let slope: Vec<f64> = slope(&self.mean);
+            let power: f64 = slope.iter().map(|s| s * s).sum();
+            let middle = crate::signal::mean(&self.bogie_m);
+            let (mut numerator, mut denominator) = (0.0, 0.0);
+            for (w, bogie) in self.windows.iter().zip(&self.bogie_m) {
+                let product: f64 = w.iter().zip(&self.mean).zip(&slope).map(|((a, m), s)| (m - a) * s).sum();
+                let late_s = product / power.max(f64::MIN_POSITIVE);
+                numerator += late_s * (bogie - middle);
+                denominator += (bogie - middle).powi(2);
+            }
+            if denominator <= 0.0 {
+                return;
+            }
+            // Seconds per metre that the train is slower than assumed.
+            let slowness = (numerator / denominator).clamp(-LARGEST_S_M, LARGEST_S_M);
+            let before = middle / self.speed_m_s;
+            self.speed_m_s = 1.0 / (1.0 / self.speed_m_s + slowness);
+            self.first_axle_s += before - middle / self.speed_m_s;
+            self.cut(window);
+        }
+    }
+
+    /// Moves the first axle by `late_s` and cuts the windows anew.
+    pub fn delay(&mut self, late_s: f64, window: (f64, f64)) {
+        self.first_axle_s += late_s;
+        self.cut(window);
+    }
+
+    /// Delay of the recording behind a prediction at which both agree best, s, among `range_s` in both directions.
+    pub fn lag(&self, response: &Response, gain: f64, range_s: f64) -> f64 {
+        let steps = (range_s * RATE_HZ).ceil() as i64;
+        let misfit = |late_s: f64| {
+            let p = self.predicted_mean(response, gain, late_s);
+            self.mean.iter().zip(&p).map(|(m, p)| (m - p).powi(2)).sum::<f64>()
+        };
+        let best = (-steps..=steps)
+            .map(|k| k as f64 / RATE_HZ)
+            .map(|t| (t, misfit(t)))
+            .min_by(|a, b| a.1.total_cmp(&b.1))
+            .map_or(0.0, |b| b.0);
+        let h = 0.5 / RATE_HZ;
+        let (l, m, r) = (misfit(best - h), misfit(best), misfit(best + h));
+        let curvature = l - 2.0 * m + r;
+        best + if curvature > 0.0 { (0.5 * h * (l - r) / curvature).clamp(-h, h) } else { 0.0 }
+    }
+
+    /// Times of the bogies after the first axle, s.
+    pub fn bogie_s(&self) -> Vec<f64> {
+        self.bogie_m.iter().map(|m| m / self.speed_m_s).collect()
+    }
+
+    /// The whole train, from 8 m before its first axle to 8 m behind its last: recorder time of the first value, values at
+    /// [`RATE_HZ`].
+    pub fn trace(&self) -> (f64, Vec<f64>) {
+        let last = self.bogie_m.last().copied().unwrap_or(0.0);
+        let start_s = self.first_axle_s - CLEAR_M / self.speed_m_s;
+        let n = ((last + 3.0 + 2.0 * CLEAR_M) / self.speed_m_s * RATE_HZ).ceil() as usize;
+        (start_s, self.recording.window(start_s, RATE_HZ, n, BAND_HZ))
+    }
+
+    /// Takes known contributions off the windows.
+    pub fn remove(&mut self, contributions: &[Vec<f64>]) {
+        for (window, part) in self.windows.iter_mut().zip(contributions) {
+            window.iter_mut().zip(part).for_each(|(w, p)| *w -= p);
+        }
+        self.mean = mean_of(&self.windows);
+    }
+
+    /// Windows of the bogies less the whole train's prediction.
+    pub fn window_residuals(&self, response: &Response, gain: f64, late_s: f64) -> Vec<Vec<f64>> {
+        let bogies = self.bogie_s();
+        self.windows
+            .iter()
+            .zip(&bogies)
+            .map(|(window, at)| {
+                let others: Vec<f64> = bogies.iter().map(|b| b - at + late_s).collect();
+                let mut predicted = vec![0.0; window.len()];
+                response.add_train(&others, gain, self.first_s, 1.0 / RATE_HZ, &mut predicted);
+                window.iter().zip(&predicted).map(|(m, p)| m - p).collect()
+            })
+            .collect()
+    }
+
+    /// What the windows' mean would be, for a bogie response and a gain; `late_s` shifts the train.
+    pub fn predicted_mean(&self, response: &Response, gain: f64, late_s: f64) -> Vec<f64> {
+        let bogies = self.bogie_s();
+        let mut sum = vec![0.0; self.mean.len()];
+        for window in &bogies {
+            let others: Vec<f64> = bogies.iter().map(|b| b - window + late_s).collect();
+            response.add_train(&others, gain, self.first_s, 1.0 / RATE_HZ, &mut sum);
+        }
+        for value in &mut sum {
+            *value /= bogies.len() as f64;
+        }
+        sum
+    }
+}
+
+/// Rounds of [`Observed::line_up`].
+const LINE_UP_ROUNDS: usize = 4;
+/// Largest correction per round, s/m: 10 mm over 10 m at 40 m/s.
+const LARGEST_S_M: f64 = 2.5e-5;
+
+/// Derivative by central differences, per second.
+fn slope(values: &[f64]) -> Vec<f64> {
+    let n = values.len();
+    (0..n)
+        .map(|k| {
+            let (a, b) = (k.saturating_sub(1), (k + 1).min(n - 1));
+            (values[b] - values[a]) * RATE_HZ / (b - a).max(1) as f64
+        })
+        .collect()
+}
+
+/// Mean of windows of equal length.
+pub fn mean_of(windows: &[Vec<f64>]) -> Vec<f64> {
+    let n = windows.first().map_or(0, Vec::len);
+    let scale = 1.0 / windows.len().max(1) as f64;
+    (0..n).map(|k| windows.iter().map(|w| w[k]).sum::<f64>() * scale).collect()
+}

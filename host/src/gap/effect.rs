@@ -1,0 +1,87 @@
+//! What an effect of the catalogue is.
+
+use super::world::World;
+
+/// Where in the chain an effect sits.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, serde::Serialize)]
+#[serde(rename_all = "kebab-case")]
+#[allow(missing_docs)]
+pub enum Stage {
+    Sensor,
+    Timing,
+    Track,
+    Geometry,
+    Vehicle,
+    Identification,
+    Node,
+}
+
+/// How a parameter is searched.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Scale {
+    /// The coordinate is the value in units of [`Parameter::unit_size`].
+    Linear,
+    /// The coordinate is the natural logarithm of the value over [`Parameter::unit_size`].
+    Log,
+    /// The value is [`Parameter::unit_size`] over the coordinate.
+    Inverse,
+}
+
+/// One physical parameter of an effect.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Parameter {
+    /// Name with unit, as in the results.
+    pub name: &'static str,
+    /// Linear or logarithmic.
+    pub scale: Scale,
+    /// Value of coordinate 1 (linear) or 0 (logarithmic).
+    pub unit_size: f64,
+    /// Prior of the coordinate: mean, standard deviation.
+    pub prior: (f64, f64),
+    /// Range of the coordinate.
+    pub range: [f64; 2],
+    /// Step for numerical derivatives, coordinate.
+    pub step: f64,
+    /// Not of interest by itself: it only lets the effect take its form.
+    pub nuisance: bool,
+}
+
+impl Parameter {
+    /// Value at a coordinate.
+    pub fn value(&self, coordinate: f64) -> f64 {
+        match self.scale {
+            Scale::Linear => self.unit_size * coordinate,
+            Scale::Log => self.unit_size * coordinate.exp(),
+            Scale::Inverse => self.unit_size / coordinate.max(1e-9),
+        }
+    }
+}
+
+/// What the recordings say directly, to start a search well.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Hints {
+    /// Largest |acceleration| in any recording, m/s².
+    pub largest_m_s2: f64,
+}
+
+/// An effect that the forward simulation can show: a small change of the world.
+pub trait Effect: Sync + Send {
+    /// Name in the contract.
+    fn name(&self) -> &'static str;
+    /// Place in the chain.
+    fn stage(&self) -> Stage;
+    /// Parameters, in the order of `values`.
+    fn parameters(&self) -> &'static [Parameter];
+    /// Coordinates from which the search starts.
+    fn starts(&self, hints: &Hints) -> Vec<Vec<f64>>;
+    /// Coordinates at which there is no effect, where the path from there is smooth.
+    fn nought(&self) -> Option<Vec<f64>> {
+        None
+    }
+    /// Whether its parameters change the motion; a gain does not.
+    fn simulated(&self) -> bool {
+        true
+    }
+    /// Puts the effect into the world.
+    fn apply(&self, world: &mut World, values: &[f64]);
+}

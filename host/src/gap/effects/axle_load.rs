@@ -1,0 +1,47 @@
+//! All axles heavier or lighter than the operator says.
+//!
+//! Everything scales, the excitation by the crossing apart; passenger load changes a coach by up to a sixth.
+
+use crate::gap::effect::{Effect, Hints, Parameter, Scale, Stage};
+use crate::gap::world::World;
+
+/// See the module.
+pub struct AxleLoad;
+
+const PARAMETERS: [Parameter; 1] = [Parameter {
+    name: "factor",
+    scale: Scale::Log,
+    unit_size: 1.0,
+    prior: (0.0, 0.12),
+    range: [-0.6, 0.6],
+    step: 0.02,
+    nuisance: false,
+}];
+
+impl Effect for AxleLoad {
+    fn name(&self) -> &'static str {
+        "axle-load"
+    }
+
+    fn stage(&self) -> Stage {
+        Stage::Vehicle
+    }
+
+    fn parameters(&self) -> &'static [Parameter] {
+        &PARAMETERS
+    }
+
+    fn starts(&self, _hints: &Hints) -> Vec<Vec<f64>> {
+        self.nought().into_iter().collect()
+    }
+
+    fn nought(&self) -> Option<Vec<f64>> {
+        Some(vec![0.0])
+    }
+
+    fn apply(&self, world: &mut World, values: &[f64]) {
+        for load in world.wheels.load.iter_mut().flatten() {
+            *load *= values[0];
+        }
+    }
+}

@@ -1,0 +1,46 @@
+//! Ballast that moves with the sleepers.
+//!
+//! A cone of ballast below a sleeper weighs as much as the sleeper itself (130 to 350 kg/m); the prior is of that
+//! size.
+
+use crate::gap::effect::{Effect, Hints, Parameter, Scale, Stage};
+use crate::gap::world::World;
+
+/// See the module.
+pub struct BallastMass;
+
+const PARAMETERS: [Parameter; 1] = [Parameter {
+    name: "mass_kg_m",
+    scale: Scale::Linear,
+    unit_size: 100.0,
+    prior: (0.0, 1.5),
+    range: [0.0, 10.0],
+    step: 0.1,
+    nuisance: false,
+}];
+
+impl Effect for BallastMass {
+    fn name(&self) -> &'static str {
+        "ballast-mass"
+    }
+
+    fn stage(&self) -> Stage {
+        Stage::Track
+    }
+
+    fn parameters(&self) -> &'static [Parameter] {
+        &PARAMETERS
+    }
+
+    fn starts(&self, _hints: &Hints) -> Vec<Vec<f64>> {
+        self.nought().into_iter().collect()
+    }
+
+    fn nought(&self) -> Option<Vec<f64>> {
+        Some(vec![0.0])
+    }
+
+    fn apply(&self, world: &mut World, values: &[f64]) {
+        world.bed.mass_kg_m = values[0];
+    }
+}

@@ -1,0 +1,47 @@
+//! Ballast that stiffens under load, F = k w (1 + w/w₀): all sleepers.
+//!
+//! w₀ is the displacement at which the secant stiffness has doubled. Range: from a fifth of a usual deflection (0.5 mm,
+//! paper fig. 12) to where nothing is left of the effect. The search runs over 1/w₀, which is nought without the effect.
+
+use crate::gap::effect::{Effect, Hints, Parameter, Scale, Stage};
+use crate::gap::world::World;
+
+/// See the module.
+pub struct BallastStiffening;
+
+const PARAMETERS: [Parameter; 1] = [Parameter {
+    name: "doubling_m",
+    scale: Scale::Inverse,
+    unit_size: 1e-3,
+    prior: (0.0, 1.5),
+    range: [0.0, 10.0],
+    step: 0.05,
+    nuisance: false,
+}];
+
+impl Effect for BallastStiffening {
+    fn name(&self) -> &'static str {
+        "ballast-stiffening"
+    }
+
+    fn stage(&self) -> Stage {
+        Stage::Track
+    }
+
+    fn parameters(&self) -> &'static [Parameter] {
+        &PARAMETERS
+    }
+
+    fn starts(&self, _hints: &Hints) -> Vec<Vec<f64>> {
+        self.nought().into_iter().collect()
+    }
+
+    fn nought(&self) -> Option<Vec<f64>> {
+        Some(vec![0.0])
+    }
+
+    fn apply(&self, world: &mut World, values: &[f64]) {
+        // Beyond 10 m the bed is linear, and the simulation cheaper.
+        world.bed.doubling_m = (values[0] < 10.0).then_some(values[0]);
+    }
+}

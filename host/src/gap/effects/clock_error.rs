@@ -1,0 +1,46 @@
+//! A recorder clock that is fast or slow by a constant part.
+//!
+//! Everything in time is stretched: the speed comes out wrong by as much, so positions stay right, but frequencies of track
+//! and wheel do not. The operator's speeds (1 % each, unbiased) see it too. Range: a broken crystal or a wrong divider.
+
+use crate::gap::effect::{Effect, Hints, Parameter, Scale, Stage};
+use crate::gap::world::World;
+
+/// See the module.
+pub struct ClockError;
+
+const PARAMETERS: [Parameter; 1] = [Parameter {
+    name: "relative",
+    scale: Scale::Linear,
+    unit_size: 0.01,
+    prior: (0.0, 1.5),
+    range: [-8.0, 8.0],
+    step: 0.2,
+    nuisance: false,
+}];
+
+impl Effect for ClockError {
+    fn name(&self) -> &'static str {
+        "clock-error"
+    }
+
+    fn stage(&self) -> Stage {
+        Stage::Timing
+    }
+
+    fn parameters(&self) -> &'static [Parameter] {
+        &PARAMETERS
+    }
+
+    fn starts(&self, _hints: &Hints) -> Vec<Vec<f64>> {
+        self.nought().into_iter().collect()
+    }
+
+    fn nought(&self) -> Option<Vec<f64>> {
+        Some(vec![0.0])
+    }
+
+    fn apply(&self, world: &mut World, values: &[f64]) {
+        world.sensor.clock_error = values[0];
+    }
+}

@@ -1,0 +1,55 @@
+//! Bending stiffness and mass of the crossing rail: factors on the nominal three times plain rail (paper, Table 1).
+
+use crate::gap::effect::{Effect, Hints, Parameter, Scale, Stage};
+use crate::gap::world::World;
+
+/// See the module.
+pub struct CrossingRail;
+
+const PARAMETERS: [Parameter; 2] = [
+    Parameter {
+        name: "stiffness_factor",
+        scale: Scale::Log,
+        unit_size: 1.0,
+        prior: (0.0, 0.5),
+        range: [-1.5, 1.5],
+        step: 0.05,
+        nuisance: false,
+    },
+    Parameter {
+        name: "mass_factor",
+        scale: Scale::Log,
+        unit_size: 1.0,
+        prior: (0.0, 0.5),
+        range: [-1.5, 1.5],
+        step: 0.05,
+        nuisance: false,
+    },
+];
+
+impl Effect for CrossingRail {
+    fn name(&self) -> &'static str {
+        "crossing-rail"
+    }
+
+    fn stage(&self) -> Stage {
+        Stage::Track
+    }
+
+    fn parameters(&self) -> &'static [Parameter] {
+        &PARAMETERS
+    }
+
+    fn starts(&self, _hints: &Hints) -> Vec<Vec<f64>> {
+        self.nought().into_iter().collect()
+    }
+
+    fn nought(&self) -> Option<Vec<f64>> {
+        Some(vec![0.0, 0.0])
+    }
+
+    fn apply(&self, world: &mut World, values: &[f64]) {
+        world.crossing.rail.crossing_part_stiffness_factor *= values[0];
+        world.crossing.rail.crossing_part_mass_factor *= values[1];
+    }
+}

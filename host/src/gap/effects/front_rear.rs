@@ -1,0 +1,62 @@
+//! Front and rear wheelset of a bogie load and excite differently: braking, bogie pitch, steering.
+//!
+//! Differences are front minus rear over their mean. Breaks the paper's assumption that both have the same force
+//! (section 4.2).
+
+use crate::gap::effect::{Effect, Hints, Parameter, Scale, Stage};
+use crate::gap::world::World;
+
+/// See the module.
+pub struct FrontRear;
+
+const PARAMETERS: [Parameter; 2] = [
+    Parameter {
+        name: "depth_difference",
+        scale: Scale::Linear,
+        unit_size: 0.1,
+        prior: (0.0, 1.5),
+        range: [-9.0, 9.0],
+        step: 0.2,
+        nuisance: false,
+    },
+    Parameter {
+        name: "load_difference",
+        scale: Scale::Linear,
+        unit_size: 0.1,
+        prior: (0.0, 1.0),
+        range: [-9.0, 9.0],
+        step: 0.2,
+        nuisance: false,
+    },
+];
+
+impl Effect for FrontRear {
+    fn name(&self) -> &'static str {
+        "front-rear"
+    }
+
+    fn stage(&self) -> Stage {
+        Stage::Vehicle
+    }
+
+    fn parameters(&self) -> &'static [Parameter] {
+        &PARAMETERS
+    }
+
+    fn starts(&self, _hints: &Hints) -> Vec<Vec<f64>> {
+        self.nought().into_iter().collect()
+    }
+
+    fn nought(&self) -> Option<Vec<f64>> {
+        Some(vec![0.0, 0.0])
+    }
+
+    fn apply(&self, world: &mut World, values: &[f64]) {
+        for (axle, sign) in [(0, 0.5), (1, -0.5)] {
+            world.wheels.depth[axle] *= 1.0 + sign * values[0];
+            for load in &mut world.wheels.load[axle] {
+                *load *= 1.0 + sign * values[1];
+            }
+        }
+    }
+}

@@ -1,0 +1,62 @@
+//! Sensitivity of the sensor that depends on its temperature: a (1 + s (T − T₀)).
+//!
+//! Acts on all frequencies alike and follows the temperature from passage to passage. T₀ is unknown, so a constant gain goes
+//! with it. Data sheets give up to 0.04 %/K; a failing bridge or a loose mount reaches ten times that.
+
+use crate::gap::effect::{Effect, Hints, Parameter, Scale, Stage};
+use crate::gap::world::World;
+
+/// See the module.
+pub struct GainTemperature;
+
+const PARAMETERS: [Parameter; 2] = [
+    Parameter {
+        name: "per_kelvin",
+        scale: Scale::Linear,
+        unit_size: 1e-3,
+        prior: (0.0, 3.0),
+        range: [-20.0, 20.0],
+        step: 1.0,
+        nuisance: false,
+    },
+    Parameter {
+        name: "gain_at_20_c",
+        scale: Scale::Linear,
+        unit_size: 0.01,
+        prior: (100.0, 3.0),
+        range: [50.0, 200.0],
+        step: 1.0,
+        nuisance: true,
+    },
+];
+
+impl Effect for GainTemperature {
+    fn name(&self) -> &'static str {
+        "gain-temperature"
+    }
+
+    fn stage(&self) -> Stage {
+        Stage::Sensor
+    }
+
+    fn parameters(&self) -> &'static [Parameter] {
+        &PARAMETERS
+    }
+
+    fn starts(&self, _hints: &Hints) -> Vec<Vec<f64>> {
+        self.nought().into_iter().collect()
+    }
+
+    fn nought(&self) -> Option<Vec<f64>> {
+        Some(vec![0.0, 100.0])
+    }
+
+    fn simulated(&self) -> bool {
+        false
+    }
+
+    fn apply(&self, world: &mut World, values: &[f64]) {
+        world.sensor.gain_per_kelvin = values[0];
+        world.sensor.gain = values[1];
+    }
+}

@@ -1,0 +1,46 @@
+//! Static load shared unequally between the two rails: cant, curve, skew load. Positive loads the crossing side.
+
+use crate::gap::effect::{Effect, Hints, Parameter, Scale, Stage};
+use crate::gap::world::World;
+
+/// See the module.
+pub struct LoadTransfer;
+
+const PARAMETERS: [Parameter; 1] = [Parameter {
+    name: "fraction",
+    scale: Scale::Linear,
+    unit_size: 0.1,
+    prior: (0.0, 1.0),
+    range: [-5.0, 5.0],
+    step: 0.2,
+    nuisance: false,
+}];
+
+impl Effect for LoadTransfer {
+    fn name(&self) -> &'static str {
+        "load-transfer"
+    }
+
+    fn stage(&self) -> Stage {
+        Stage::Vehicle
+    }
+
+    fn parameters(&self) -> &'static [Parameter] {
+        &PARAMETERS
+    }
+
+    fn starts(&self, _hints: &Hints) -> Vec<Vec<f64>> {
+        self.nought().into_iter().collect()
+    }
+
+    fn nought(&self) -> Option<Vec<f64>> {
+        Some(vec![0.0])
+    }
+
+    fn apply(&self, world: &mut World, values: &[f64]) {
+        for axle in &mut world.wheels.load {
+            axle[0] *= 1.0 + values[0];
+            axle[1] *= 1.0 - values[0];
+        }
+    }
+}

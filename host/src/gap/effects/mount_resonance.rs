@@ -1,0 +1,52 @@
+//! Resonance of the sensor's mounting: a second-order system between sleeper and transducer.
+//!
+//! Glued mounts resonate above 1 kHz; brackets and magnets at some hundred hertz reach into the band.
+
+use crate::gap::effect::{Effect, Hints, Parameter, Scale, Stage};
+use crate::gap::world::World;
+
+/// See the module.
+pub struct MountResonance;
+
+const PARAMETERS: [Parameter; 2] = [
+    Parameter {
+        name: "frequency_hz",
+        scale: Scale::Log,
+        unit_size: 400.0,
+        prior: (0.0, 0.6),
+        range: [-1.2, 1.4],
+        step: 0.03,
+        nuisance: false,
+    },
+    Parameter {
+        name: "damping_ratio",
+        scale: Scale::Log,
+        unit_size: 0.1,
+        prior: (0.0, 0.8),
+        range: [-2.5, 1.8],
+        step: 0.1,
+        nuisance: false,
+    },
+];
+
+impl Effect for MountResonance {
+    fn name(&self) -> &'static str {
+        "mount-resonance"
+    }
+
+    fn stage(&self) -> Stage {
+        Stage::Sensor
+    }
+
+    fn parameters(&self) -> &'static [Parameter] {
+        &PARAMETERS
+    }
+
+    fn starts(&self, _hints: &Hints) -> Vec<Vec<f64>> {
+        vec![vec![1.2, 1.0], vec![0.4, 0.5]]
+    }
+
+    fn apply(&self, world: &mut World, values: &[f64]) {
+        world.sensor.mount = Some((values[0], values[1]));
+    }
+}

@@ -1,0 +1,60 @@
+//! A dip in the stock rail opposite the crossing, (1 + cos)/2: a bad weld or a squat. The sensor sits on the other side, so
+//! it shows through the sleeper and the rolling of the wheelset.
+
+use crate::gap::effect::{Effect, Hints, Parameter, Scale, Stage};
+use crate::gap::world::World;
+
+/// See the module.
+pub struct StockIrregularity;
+
+const PARAMETERS: [Parameter; 3] = [
+    Parameter {
+        name: "depth_m",
+        scale: Scale::Linear,
+        unit_size: 0.3e-3,
+        prior: (0.0, 1.5),
+        range: [-8.0, 8.0],
+        step: 0.2,
+        nuisance: false,
+    },
+    Parameter {
+        name: "at_x_m",
+        scale: Scale::Linear,
+        unit_size: 1.0,
+        prior: (0.0, 1.2),
+        range: [-3.0, 3.0],
+        step: 0.02,
+        nuisance: false,
+    },
+    Parameter {
+        name: "length_m",
+        scale: Scale::Log,
+        unit_size: 0.4,
+        prior: (0.0, 0.6),
+        range: [-1.7, 1.4],
+        step: 0.1,
+        nuisance: true,
+    },
+];
+
+impl Effect for StockIrregularity {
+    fn name(&self) -> &'static str {
+        "stock-irregularity"
+    }
+
+    fn stage(&self) -> Stage {
+        Stage::Geometry
+    }
+
+    fn parameters(&self) -> &'static [Parameter] {
+        &PARAMETERS
+    }
+
+    fn starts(&self, _hints: &Hints) -> Vec<Vec<f64>> {
+        (-4..=4).map(|k| vec![0.1, 0.5 * f64::from(k), 0.0]).collect()
+    }
+
+    fn apply(&self, world: &mut World, values: &[f64]) {
+        world.path.stock_dip = Some([values[0], values[1], values[2]]);
+    }
+}

@@ -1,0 +1,56 @@
+//! Low stiffness outside the ±2 sleepers that the calibration resolves: sleepers 3 to 6 on either side.
+//!
+//! A factor on the stiffness on the side of negative and of positive x; 1 is the outer stiffness p1.
+
+use crate::gap::effect::{Effect, Hints, Parameter, Scale, Stage};
+use crate::gap::world::World;
+
+/// See the module.
+pub struct SupportLoss;
+
+const PARAMETERS: [Parameter; 2] = [
+    Parameter {
+        name: "factor_negative_x",
+        scale: Scale::Log,
+        unit_size: 1.0,
+        prior: (0.0, 0.8),
+        range: [-3.0, 1.0],
+        step: 0.1,
+        nuisance: false,
+    },
+    Parameter {
+        name: "factor_positive_x",
+        scale: Scale::Log,
+        unit_size: 1.0,
+        prior: (0.0, 0.8),
+        range: [-3.0, 1.0],
+        step: 0.1,
+        nuisance: false,
+    },
+];
+
+impl Effect for SupportLoss {
+    fn name(&self) -> &'static str {
+        "support-loss"
+    }
+
+    fn stage(&self) -> Stage {
+        Stage::Track
+    }
+
+    fn parameters(&self) -> &'static [Parameter] {
+        &PARAMETERS
+    }
+
+    fn starts(&self, _hints: &Hints) -> Vec<Vec<f64>> {
+        self.nought().into_iter().collect()
+    }
+
+    fn nought(&self) -> Option<Vec<f64>> {
+        Some(vec![0.0, 0.0])
+    }
+
+    fn apply(&self, world: &mut World, values: &[f64]) {
+        world.bed.stiffness_factor = (3..=6).flat_map(|k| [(-k, values[0]), (k, values[1])]).collect();
+    }
+}

@@ -1,0 +1,44 @@
+//! Wheelsets heavier or lighter than in the description: other wheels, axle-mounted drives (a driven wheelset weighs up to
+//! twice a trailing one).
+
+use crate::gap::effect::{Effect, Hints, Parameter, Scale, Stage};
+use crate::gap::world::World;
+
+/// See the module.
+pub struct UnsprungMass;
+
+const PARAMETERS: [Parameter; 1] = [Parameter {
+    name: "factor",
+    scale: Scale::Log,
+    unit_size: 1.0,
+    prior: (0.0, 0.3),
+    range: [-1.0, 1.0],
+    step: 0.04,
+    nuisance: false,
+}];
+
+impl Effect for UnsprungMass {
+    fn name(&self) -> &'static str {
+        "unsprung-mass"
+    }
+
+    fn stage(&self) -> Stage {
+        Stage::Vehicle
+    }
+
+    fn parameters(&self) -> &'static [Parameter] {
+        &PARAMETERS
+    }
+
+    fn starts(&self, _hints: &Hints) -> Vec<Vec<f64>> {
+        self.nought().into_iter().collect()
+    }
+
+    fn nought(&self) -> Option<Vec<f64>> {
+        Some(vec![0.0])
+    }
+
+    fn apply(&self, world: &mut World, values: &[f64]) {
+        world.wheels.unsprung *= values[0];
+    }
+}

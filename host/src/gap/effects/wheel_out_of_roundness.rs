@@ -1,0 +1,190 @@
+//! Polygonal wheels, r sin(n s/R + φ): order n is a property of the fleet, amplitude too, phase belongs to each wheelset.
+//!
+//! The wave runs along the rail with a fixed wavelength 2πR/n, so its frequency follows the speed, and its phase differs
+//! from wheel to wheel, which no property of the panel can do. 0.1 mm at order 5 is a bad wheel.
+
+use rayon::prelude::*;
+
+use crate::gap::effect::Stage;
+use crate::gap::latent::{Latent, LatentFit, Scene, best_share, responsibility};
+
+/// See the module.
+pub struct WheelOutOfRoundness;
+
+/// Orders looked at: the waves of lower ones are as long as the bogie and look like a difference of load.
+const ORDERS: std::ops::RangeInclusive<u32> = 3..=16;
+/// Amplitudes tried, metres: factors of 1.12 from 5 µm on.
+const AMPLITUDES: (f64, f64, usize) = (5e-6, 1.12, 48);
+/// Phases over which a wheelset is averaged.
+const PHASES: usize = 24;
+/// Cost of choosing order, amplitude and share, nats: 16 orders, and two well-determined numbers.
+const CHOICE: f64 = 8.0;
+
+/// What the wheelsets of one order show: b = Bᵀy and G = BᵀB for the two phases.
+struct Shown {
+    b: [f64; 2],
+    g: [f64; 3],
+}
+
+impl Shown {
+    fn gain_at(&self, amplitude: f64, phase: f64) -> f64 {
+        let (s, c) = phase.sin_cos();
+        let quadratic = self.g[0] * c * c + 2.0 * self.g[1] * c * s + self.g[2] * s * s;
+        amplitude * (self.b[0] * c + self.b[1] * s) - 0.5 * amplitude * amplitude * quadratic
+    }
+
+    /// Log of the likelihood ratio averaged over the phase.
+    fn gain(&self, amplitude: f64) -> f64 {
+        let gains = phases().map(|p| self.gain_at(amplitude, p));
+        let top = gains.clone().fold(f64::NEG_INFINITY, f64::max);
+        top + (gains.map(|g| (g - top).exp()).sum::<f64>() / PHASES as f64).ln()
+    }
+
+    /// Posterior mean of (amplitude cos φ, amplitude sin φ).
+    fn mean(&self, amplitude: f64) -> [f64; 2] {
+        let top = phases().map(|p| self.gain_at(amplitude, p)).fold(f64::NEG_INFINITY, f64::max);
+        let (mut sum, mut c, mut s) = (0.0, 0.0, 0.0);
+        for p in phases() {
+            let w = (self.gain_at(amplitude, p) - top).exp();
+            (sum, c, s) = (sum + w, c + w * p.cos(), s + w * p.sin());
+        }
+        [amplitude * c / sum, amplitude * s / sum]
+    }
+}
+
+fn phases() -> impl Iterator<Item = f64> + Clone {
+    (0..PHASES).map(|i| std::f64::consts::TAU * i as f64 / PHASES as f64)
+}
+
+impl Latent for WheelOutOfRoundness {
+    fn name(&self) -> &'static str {
+        "wheel-out-of-roundness"
+    }
+
+    fn stage(&self) -> Stage {
+        Stage::Vehicle
+    }
+
+    fn explore(&self, scene: &Scene) -> Option<LatentFit> {
+        let scores: Vec<(f64, u32, f64, f64)> = ORDERS
+            .into_par_iter()
+            .map(|order| {
+                let shown: Vec<Shown> = scene.train.iter().flat_map(|i| shown(scene, *i, order)).collect();
+                let (score, amplitude, share) = amplitudes()
+                    .map(|a| {
+                        let gains: Vec<f64> = shown.iter().map(|s| s.gain(a)).collect();
+                        let (score, share) = best_share(&gains);
+                        (score, a, share)
+                    })
+                    .max_by(|a, b| a.0.total_cmp(&b.0))
+                    .unwrap_or((0.0, 0.0, 0.0));
+                (score, order, amplitude, share)
+            })
+            .collect();
+        let (score, order, amplitude, share) = *scores.iter().max_by(|a, b| a.0.total_cmp(&b.0))?;
+        // Wheels that simply differ more than usual gain at all orders; a polygon at its own.
+        let elsewhere = scores.iter().filter(|s| s.1.abs_diff(order) >= 2).map(|s| s.0).fold(0.0, f64::max);
+        let net = score - elsewhere - CHOICE;
+        if net <= 0.0 {
+            return None;
+        }
+        let (lower, upper) = interval(scene, order, share, amplitude, score);
+        let windows =
+            (0..scene.observed.len()).map(|i| windows(scene, i, order, amplitude, share)).collect::<Vec<_>>();
+        let traces = scene.spread(&windows);
+        let order = f64::from(order);
+        Some(LatentFit {
+            gain: net,
+            parameters: vec![
+                ("order", order, order, order),
+                ("amplitude_m", amplitude, lower, upper),
+                ("share", share, share * 0.7, (share * 1.3).min(1.0)),
+            ],
+            windows,
+            traces,
+        })
+    }
+}
+
+fn amplitudes() -> impl Iterator<Item = f64> {
+    (0..AMPLITUDES.2).map(|i| AMPLITUDES.0 * AMPLITUDES.1.powi(i as i32))
+}
+
+/// The two phases of an order as paths.
+fn waves(scene: &Scene, order: u32) -> [Vec<f64>; 2] {
+    let radius = scene.world.crossing.vehicle.wheel_radius_m;
+    let turn = move |s: f64| f64::from(order) * s / radius;
+    [scene.at_knots(true, |s| turn(s).sin()), scene.at_knots(true, |s| turn(s).cos())]
+}
+
+fn shown(scene: &Scene, passage: usize, order: u32) -> Vec<Shown> {
+    let waves = waves(scene, order);
+    scene.wheels[passage]
+        .iter()
+        .flat_map(|view| {
+            let columns = waves.each_ref().map(|w| times(&view.profile, w));
+            let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(x, y)| x * y).sum::<f64>();
+            let g =
+                [dot(&columns[0], &columns[0]), dot(&columns[0], &columns[1]), dot(&columns[1], &columns[1])];
+            (0..view.residual.ncols())
+                .map(|k| {
+                    let y = view.residual.col_as_slice(k);
+                    Shown { b: [dot(&columns[0], y), dot(&columns[1], y)], g }
+                })
+                .collect::<Vec<_>>()
+        })
+        .collect()
+}
+
+fn times(matrix: &faer::Mat<f64>, vector: &[f64]) -> Vec<f64> {
+    let mut out = vec![0.0; matrix.nrows()];
+    for (j, v) in vector.iter().enumerate().filter(|(_, v)| **v != 0.0) {
+        for (o, m) in out.iter_mut().zip(matrix.col_as_slice(j)) {
+            *o += v * m;
+        }
+    }
+    out
+}
+
+/// Posterior mean of what the wave adds to the windows of a passage.
+fn windows(scene: &Scene, passage: usize, order: u32, amplitude: f64, share: f64) -> Vec<Vec<f64>> {
+    let waves = waves(scene, order);
+    let shown = shown(scene, passage, order);
+    let bogies = scene.residuals[passage].len();
+    let plain =
+        [0, 1].map(|axle| waves.each_ref().map(|w| times(&scene.responses[passage].profile[axle], w)));
+    (0..bogies)
+        .map(|bogie| {
+            let mut out = vec![0.0; plain[0][0].len()];
+            for (axle, columns) in plain.iter().enumerate() {
+                let s = &shown[axle * bogies + bogie];
+                let p = responsibility(share, s.gain(amplitude));
+                let mean = s.mean(amplitude);
+                for (k, value) in out.iter_mut().enumerate() {
+                    *value += p * (mean[0] * columns[0][k] + mean[1] * columns[1][k]);
+                }
+            }
+            out
+        })
+        .collect()
+}
+
+/// Amplitudes whose log likelihood is within 1.35 (90 %) of the best, by parabola through the neighbours, and not narrower
+/// than the 8 % by which the linear response may be off.
+fn interval(scene: &Scene, order: u32, share: f64, amplitude: f64, score: f64) -> (f64, f64) {
+    let shown: Vec<Shown> = scene.train.iter().flat_map(|i| shown(scene, *i, order)).collect();
+    let at = |a: f64| -> f64 {
+        shown.iter().map(|s| crate::gap::latent::mixed(share, s.gain(a))).sum::<f64>() - score
+    };
+    let edge = |factor: f64| {
+        let mut a = amplitude;
+        for _ in 0..60 {
+            a *= factor;
+            if at(a) < -1.35 {
+                break;
+            }
+        }
+        a
+    };
+    (edge(1.0 / 1.01).min(0.92 * amplitude), edge(1.01).max(1.08 * amplitude))
+}

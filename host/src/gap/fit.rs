@@ -1,0 +1,732 @@
+//! Joint fit of the base model and a set of effects: Gauss-Newton steps on the simulated passages, everything else
+//! linear and Gaussian.
+//!
+//! Unknown are the deviation of the path from the scan (both rails), the three ballast parameters, a common and one own
+//! position error per passage, and the parameters of the effects. The simulation is exact in all of them; its derivatives
+//! are differences, except those for the path, which come from the linear model once per site.
+
+use faer::Mat;
+use faer::linalg::solvers::{Llt, Solve as _};
+use rayon::prelude::*;
+
+use super::GapError;
+use super::data::Observed;
+use super::effect::Effect;
+use super::forward::{Response, Simulator};
+use super::linear::BogieResponses;
+use super::world::World;
+use crate::ballast::BallastParameters;
+
+/// Everything that stays fixed during the fits of one site.
+pub struct Frame {
+    /// World with the start values.
+    pub base: World,
+    /// All passages.
+    pub observed: Vec<Observed>,
+    /// Linear responses, per passage.
+    pub responses: Vec<BogieResponses>,
+    /// Factor of the covariance of a passage's mean window.
+    pub factors: Vec<Llt<f64>>,
+    /// Factor of the prior covariance of the path's deviation.
+    pub deviation_root: Mat<f64>,
+}
+
+/// Values of everything unknown.
+#[derive(Clone, Debug)]
+pub struct State {
+    /// Deviation of the path, spline coefficients, metres.
+    pub deviation_m: Vec<f64>,
+    /// ln p1, ln p2, p3.
+    pub ballast: [f64; 3],
+    /// Position error of every passage, metres: the train is later by this.
+    pub shift_m: Vec<f64>,
+    /// Coordinates of the effects' parameters, one list per effect.
+    pub effects: Vec<Vec<f64>>,
+}
+
+/// Outcome of a fit.
+#[derive(Clone)]
+pub struct Fit {
+    /// Most probable values.
+    pub state: State,
+    /// Log posterior density there, up to constants of the data.
+    pub log_posterior: f64,
+    /// Log evidence (Laplace).
+    pub log_evidence: f64,
+    /// Posterior covariance of the ballast parameters, then the effects' coordinates.
+    pub covariance: Mat<f64>,
+    /// Whitened residuals and columns of every passage used, for leave-one-out prediction and identifiability.
+    pub passages: Vec<Whitened>,
+}
+
+/// One passage, whitened: columns for the ballast, the common shift, the effects; path columns apart.
+#[derive(Clone)]
+pub struct Whitened {
+    /// Index among the observed passages.
+    pub index: usize,
+    /// Path, ballast, common shift, effects.
+    pub columns: Mat<f64>,
+    /// Residual.
+    pub residual: Mat<f64>,
+}
+
+/// Prior of ln p1, ln p2 (30 MN/m² within a factor of about three, paper Table 1) and of the shape.
+const BALLAST_PRIOR: [(f64, f64); 3] = [(17.2, 1.0), (17.2, 1.0), (0.4, 0.1)];
+/// Steps of the numerical derivatives.
+const BALLAST_STEP: [f64; 3] = [0.04, 0.04, 0.04];
+/// Common and own position errors, metres.
+const SHIFT_SD_M: (f64, f64) = (0.05, 0.02);
+/// Step for the derivative by position, metres.
+const SHIFT_STEP_M: f64 = 2e-4;
+/// Operator's speeds are within 1 % (uniform).
+const OPERATOR_SD: f64 = 0.0058;
+
+impl State {
+    /// Start without effects.
+    pub fn start(frame: &Frame, ballast: &BallastParameters) -> Self {
+        Self {
+            deviation_m: vec![0.0; frame.deviation_root.nrows()],
+            ballast: [ballast.p1_n_m2.ln(), ballast.p2_n_m2.ln(), ballast.p3],
+            shift_m: vec![0.0; frame.observed.len()],
+            effects: Vec::new(),
+        }
+    }
+
+    /// Ballast parameters.
+    pub fn ballast(&self) -> BallastParameters {
+        BallastParameters {
+            p1_n_m2: self.ballast[0].clamp(13.0, 20.0).exp(),
+            p2_n_m2: self.ballast[1].clamp(13.0, 20.0).exp(),
+            p3: self.ballast[2].clamp(0.0, 1.0),
+        }
+    }
+
+    /// World in this state.
+    pub fn world(&self, frame: &Frame, effects: &[&dyn Effect]) -> World {
+        let mut world = frame.base.clone();
+        world.ballast = self.ballast();
+        world.path.deviation.coefficient_m.copy_from_slice(&self.deviation_m);
+        for (effect, coordinates) in effects.iter().zip(&self.effects) {
+            let values = values(*effect, coordinates);
+            effect.apply(&mut world, &values);
+        }
+        world
+    }
+}
+
+/// Responses of the bogies of some passages for one world.
+pub fn simulate(world: &World, frame: &Frame, subset: &[usize]) -> Result<Vec<Response>, GapError> {
+    let mut loads: Vec<f64> = subset.iter().map(|i| frame.observed[*i].axle_load_kg).collect();
+    loads.sort_by(f64::total_cmp);
+    loads.dedup();
+    let simulators: Vec<Simulator> =
+        loads.iter().map(|l| Simulator::new(world, *l)).collect::<Result<_, _>>()?;
+    subset
+        .par_iter()
+        .map(|i| {
+            let o = &frame.observed[*i];
+            let k = loads.iter().position(|l| *l == o.axle_load_kg).unwrap_or(0);
+            Ok(simulators[k].response(o.speed_m_s)?)
+        })
+        .collect()
+}
+
+/// Mean windows that the recorder would show of given responses; every train later by `late_m`.
+fn mean_windows(
+    frame: &Frame,
+    world: &World,
+    responses: &[Response],
+    subset: &[usize],
+    (shift_m, late_m): (&[f64], f64),
+) -> Vec<Vec<f64>> {
+    subset
+        .par_iter()
+        .zip(responses)
+        .map(|(i, r)| {
+            let o = &frame.observed[*i];
+            let late_s = (shift_m[*i] + late_m) / o.speed_m_s;
+            o.predicted_mean(r, world.sensor.gain_at(o.temperature_c), late_s)
+        })
+        .collect()
+}
+
+/// Simulation of the passages in a state.
+struct Evaluation {
+    responses: Vec<Response>,
+    predicted: Vec<Vec<f64>>,
+    residuals: Vec<Vec<f64>>,
+    cost: f64,
+}
+
+impl Evaluation {
+    fn new(
+        frame: &Frame,
+        effects: &[&dyn Effect],
+        state: &State,
+        subset: &[usize],
+    ) -> Result<Self, GapError> {
+        let world = state.world(frame, effects);
+        let responses = simulate(&world, frame, subset)?;
+        let predicted = mean_windows(frame, &world, &responses, subset, (&state.shift_m, 0.0));
+        let residuals: Vec<Vec<f64>> = subset
+            .iter()
+            .zip(&predicted)
+            .map(|(i, p)| frame.observed[*i].mean.iter().zip(p).map(|(m, p)| m - p).collect())
+            .collect();
+        let cost = cost(frame, effects, state, subset, &residuals);
+        Ok(Self { responses, predicted, residuals, cost })
+    }
+}
+
+/// Numbers of unknowns: path, then ballast, common shift, effects.
+struct Shape {
+    path: usize,
+    effects: usize,
+}
+
+impl Shape {
+    fn len(&self) -> usize {
+        self.path + 4 + self.effects
+    }
+}
+
+/// Options of a fit.
+#[derive(Clone, Copy, Debug)]
+pub struct FitOptions {
+    /// Most Gauss-Newton steps.
+    pub steps: usize,
+    /// Number of steps before which derivatives are renewed.
+    pub renew: usize,
+    /// Ends when the log posterior grows by less.
+    pub tolerance: f64,
+}
+
+impl Default for FitOptions {
+    fn default() -> Self {
+        Self { steps: 8, renew: 6, tolerance: 0.5 }
+    }
+}
+
+/// Linearisation of the passages at a state.
+struct Linearised {
+    /// Per passage: whitened [path | ballast | common shift | effects | own shift | residual].
+    passages: Vec<Whitened>,
+    own: Vec<Mat<f64>>,
+}
+
+/// Fits base model and effects to the passages of `subset`.
+pub fn fit(
+    frame: &Frame,
+    effects: &[&dyn Effect],
+    start: State,
+    subset: &[usize],
+    options: FitOptions,
+) -> Result<Fit, GapError> {
+    let shape = Shape {
+        path: frame.deviation_root.nrows(),
+        effects: effects.iter().map(|e| e.parameters().len()).sum(),
+    };
+    let mut state = start;
+    let mut here = Evaluation::new(frame, effects, &state, subset)?;
+    let mut columns = derivatives(frame, effects, &state, subset, &here)?;
+    let mut fresh = true;
+    for step in 0..options.steps {
+        let linear = whiten(frame, subset, &columns, &here.residuals);
+        let solution = solve(frame, effects, &state, &shape, &linear, subset)?;
+        let next = descend(frame, effects, &state, &solution, subset, here.cost);
+        let gained = next.as_ref().map_or(0.0, |(_, e)| here.cost - e.cost);
+        if let Some((s, e)) = next {
+            (state, here) = (s, e);
+            fresh = false;
+        }
+        if gained <= options.tolerance {
+            // Old derivatives may be what stops the descent.
+            if fresh || step >= options.renew {
+                break;
+            }
+        }
+        if step < options.renew {
+            columns = derivatives(frame, effects, &state, subset, &here)?;
+            fresh = true;
+        }
+    }
+    let linear = whiten(frame, subset, &columns, &here.residuals);
+    finish(frame, effects, state, &shape, linear, here.cost, subset)
+}
+
+/// First of ever shorter steps that lowers the cost.
+fn descend(
+    frame: &Frame,
+    effects: &[&dyn Effect],
+    state: &State,
+    solution: &Solution,
+    subset: &[usize],
+    cost: f64,
+) -> Option<(State, Evaluation)> {
+    [1.0, 0.35, 0.1].into_iter().find_map(|scale| {
+        let candidate = moved(frame, effects, state, solution, scale, subset);
+        let evaluation = Evaluation::new(frame, effects, &candidate, subset).ok()?;
+        (evaluation.cost < cost).then_some((candidate, evaluation))
+    })
+}
+
+/// Negative log posterior.
+fn cost(
+    frame: &Frame,
+    effects: &[&dyn Effect],
+    state: &State,
+    subset: &[usize],
+    residuals: &[Vec<f64>],
+) -> f64 {
+    let misfit: f64 = subset
+        .par_iter()
+        .zip(residuals)
+        .map(|(i, r)| {
+            let column = Mat::from_fn(r.len(), 1, |k, _| r[k]);
+            let white = whitened(&frame.factors[*i], &column);
+            0.5 * white.col_as_slice(0).iter().map(|v| v * v).sum::<f64>()
+        })
+        .sum();
+    misfit + prior_cost(frame, effects, state, subset)
+}
+
+fn prior_cost(frame: &Frame, effects: &[&dyn Effect], state: &State, subset: &[usize]) -> f64 {
+    let square = |v: f64, (mean, sd): (f64, f64)| 0.5 * ((v - mean) / sd).powi(2);
+    let deviation = Mat::from_fn(state.deviation_m.len(), 1, |i, _| state.deviation_m[i]);
+    let white = lower_solve(&frame.deviation_root, &deviation);
+    let path: f64 = 0.5 * white.col_as_slice(0).iter().map(|v| v * v).sum::<f64>();
+    let ballast: f64 = state.ballast.iter().zip(BALLAST_PRIOR).map(|(v, p)| square(*v, p)).sum();
+    let common = common_shift(state, subset);
+    let shift: f64 = square(common, (0.0, SHIFT_SD_M.0))
+        + subset.iter().map(|i| square(state.shift_m[*i] - common, (0.0, SHIFT_SD_M.1))).sum::<f64>();
+    let parameters: f64 = effects
+        .iter()
+        .zip(&state.effects)
+        .flat_map(|(e, c)| e.parameters().iter().zip(c))
+        .map(|(p, c)| square(*c, p.prior))
+        .sum();
+    path + ballast + shift + parameters + clock_cost(frame, state.world(frame, effects).sensor.clock_error)
+}
+
+/// The operator's speeds see the recorder's clock from outside.
+fn clock_cost(frame: &Frame, clock_error: f64) -> f64 {
+    let ratios: Vec<f64> =
+        frame.observed.iter().filter_map(|o| o.operator_m_s.map(|v| v / o.speed_m_s - 1.0)).collect();
+    let sum: f64 = ratios.iter().map(|r| ((r - clock_error) / OPERATOR_SD).powi(2)).sum();
+    0.5 * sum
+}
+
+fn common_shift(state: &State, subset: &[usize]) -> f64 {
+    let (common, own) = (SHIFT_SD_M.0.powi(-2), SHIFT_SD_M.1.powi(-2));
+    let sum: f64 = subset.iter().map(|i| state.shift_m[*i]).sum();
+    sum * own / (common + own * subset.len() as f64)
+}
+
+/// Columns [ballast | common shift | effects] per passage by differences.
+fn derivatives(
+    frame: &Frame,
+    effects: &[&dyn Effect],
+    state: &State,
+    subset: &[usize],
+    here: &Evaluation,
+) -> Result<Vec<Mat<f64>>, GapError> {
+    let mut variants: Vec<(State, f64, bool)> = Vec::new();
+    for k in 0..3 {
+        let mut moved = state.clone();
+        moved.ballast[k] += BALLAST_STEP[k];
+        variants.push((moved, BALLAST_STEP[k], true));
+    }
+    let mut late = state.clone();
+    late.shift_m.iter_mut().for_each(|s| *s += SHIFT_STEP_M);
+    variants.push((late, SHIFT_STEP_M, false));
+    for (e, effect) in effects.iter().enumerate() {
+        for (k, p) in effect.parameters().iter().enumerate() {
+            let mut moved = state.clone();
+            let up = moved.effects[e][k] + p.step <= p.range[1];
+            let step = if up { p.step } else { -p.step };
+            moved.effects[e][k] += step;
+            variants.push((moved, step, effect.simulated()));
+        }
+    }
+    let there: Vec<Vec<Vec<f64>>> = variants
+        .par_iter()
+        .map(|(s, _, simulated)| {
+            let world = s.world(frame, effects);
+            let shifts = (&s.shift_m[..], 0.0);
+            match simulated {
+                true => {
+                    let responses = simulate(&world, frame, subset)?;
+                    Ok(mean_windows(frame, &world, &responses, subset, shifts))
+                }
+                false => Ok(mean_windows(frame, &world, &here.responses, subset, shifts)),
+            }
+        })
+        .collect::<Result<_, GapError>>()?;
+    Ok((0..subset.len())
+        .map(|p| {
+            Mat::from_fn(here.predicted[p].len(), variants.len(), |k, v| {
+                (there[v][p][k] - here.predicted[p][k]) / variants[v].1
+            })
+        })
+        .collect())
+}
+
+/// L⁻¹ · columns.
+pub fn whitened(factor: &Llt<f64>, columns: &Mat<f64>) -> Mat<f64> {
+    let mut out = columns.clone();
+    faer::linalg::triangular_solve::solve_lower_triangular_in_place(factor.L(), out.as_mut(), faer::Par::Seq);
+    out
+}
+
+fn lower_solve(root: &Mat<f64>, columns: &Mat<f64>) -> Mat<f64> {
+    let mut out = columns.clone();
+    faer::linalg::triangular_solve::solve_lower_triangular_in_place(
+        root.as_ref(),
+        out.as_mut(),
+        faer::Par::Seq,
+    );
+    out
+}
+
+fn whiten(frame: &Frame, subset: &[usize], columns: &[Mat<f64>], residuals: &[Vec<f64>]) -> Linearised {
+    let (passages, own) = subset
+        .par_iter()
+        .zip(columns)
+        .zip(residuals)
+        .map(|((i, columns), residual)| {
+            let r = &frame.responses[*i];
+            let (n, m, q) = (residual.len(), r.both.ncols(), columns.ncols());
+            let all = Mat::from_fn(n, m + q, |k, c| if c < m { r.both[(k, c)] } else { columns[(k, c - m)] });
+            let factor = &frame.factors[*i];
+            let white = whitened(factor, &all);
+            let own = Mat::from_fn(n, 1, |k, _| white[(k, m + 3)]);
+            let residual = whitened(factor, &Mat::from_fn(n, 1, |k, _| residual[k]));
+            (Whitened { index: *i, columns: white, residual }, own)
+        })
+        .unzip();
+    Linearised { passages, own }
+}
+
+/// Gauss-Newton step: changes of path, ballast, common shift, effects, and the own shifts.
+struct Solution {
+    step: Mat<f64>,
+    own_m: Vec<f64>,
+    hessian: Mat<f64>,
+    vector: Mat<f64>,
+}
+
+fn solve(
+    frame: &Frame,
+    effects: &[&dyn Effect],
+    state: &State,
+    shape: &Shape,
+    linear: &Linearised,
+    subset: &[usize],
+) -> Result<Solution, GapError> {
+    let n = shape.len();
+    let mut information: Mat<f64> = Mat::zeros(n, n);
+    let mut vector: Mat<f64> = Mat::zeros(n, 1);
+    let common = common_shift(state, subset);
+    let precision_own = SHIFT_SD_M.1.powi(-2);
+    let parts: Vec<(Mat<f64>, Mat<f64>, f64, Mat<f64>, f64)> = linear
+        .passages
+        .par_iter()
+        .zip(&linear.own)
+        .map(|(p, own)| {
+            let mut gram = p.columns.transpose() * &p.columns;
+            let mut right = p.columns.transpose() * &p.residual;
+            let coupling = p.columns.transpose() * own;
+            let precision = squared(own) + precision_own;
+            let value = dot(own, &p.residual) - precision_own * (state.shift_m[p.index] - common);
+            gram -= &coupling * coupling.transpose() * faer::Scale(1.0 / precision);
+            right -= &coupling * faer::Scale(value / precision);
+            (gram, right, precision, coupling, value)
+        })
+        .collect();
+    for (gram, right, ..) in &parts {
+        information += gram;
+        vector += right;
+    }
+    add_prior(frame, effects, state, shape, common, &mut information, &mut vector);
+    let ridge = Mat::from_fn(n, n, |i, j| information[(i, j)] * if i == j { 1.0 + 1e-10 } else { 1.0 });
+    let factor = ridge
+        .llt(faer::Side::Lower)
+        .map_err(|_| GapError::Singular { what: "the joint fit of path, ballast and effects" })?;
+    let step = factor.solve(&vector);
+    let own_m = parts
+        .iter()
+        .map(|(_, _, precision, coupling, value)| (value - dot(coupling, &step)) / precision)
+        .collect();
+    Ok(Solution { step, own_m, hessian: information, vector })
+}
+
+fn add_prior(
+    frame: &Frame,
+    effects: &[&dyn Effect],
+    state: &State,
+    shape: &Shape,
+    common: f64,
+    information: &mut Mat<f64>,
+    vector: &mut Mat<f64>,
+) {
+    let m = shape.path;
+    let inverse_root = lower_solve(&frame.deviation_root, &Mat::identity(m, m));
+    let precision = inverse_root.transpose() * &inverse_root;
+    let deviation = Mat::from_fn(m, 1, |i, _| state.deviation_m[i]);
+    let pull = &precision * &deviation;
+    for j in 0..m {
+        for i in 0..m {
+            information[(i, j)] += precision[(i, j)];
+        }
+        vector[(j, 0)] -= pull[(j, 0)];
+    }
+    let mut add = |at: usize, value: f64, (mean, sd): (f64, f64)| {
+        information[(at, at)] += sd.powi(-2);
+        vector[(at, 0)] += (mean - value) * sd.powi(-2);
+    };
+    for k in 0..3 {
+        add(m + k, state.ballast[k], BALLAST_PRIOR[k]);
+    }
+    add(m + 3, common, (0.0, SHIFT_SD_M.0));
+    let mut at = m + 4;
+    for (e, effect) in effects.iter().enumerate() {
+        for (k, p) in effect.parameters().iter().enumerate() {
+            add(at, state.effects[e][k], p.prior);
+            at += 1;
+        }
+    }
+    clock_prior(frame, effects, state, m + 4, information, vector);
+}
+
+/// The operator's speeds are one more measurement of whatever changes the clock.
+fn clock_prior(
+    frame: &Frame,
+    effects: &[&dyn Effect],
+    state: &State,
+    first: usize,
+    information: &mut Mat<f64>,
+    vector: &mut Mat<f64>,
+) {
+    let here = state.world(frame, effects).sensor.clock_error;
+    let speeds = frame.observed.iter().filter_map(|o| o.operator_m_s.map(|v| v / o.speed_m_s - 1.0));
+    let (count, sum) = speeds.fold((0.0, 0.0), |(n, s), r| (n + 1.0, s + r - here));
+    let mut at = first;
+    for (e, effect) in effects.iter().enumerate() {
+        for (k, p) in effect.parameters().iter().enumerate() {
+            let mut moved = state.clone();
+            moved.effects[e][k] += p.step;
+            let slope = (moved.world(frame, effects).sensor.clock_error - here) / p.step;
+            if slope != 0.0 {
+                information[(at, at)] += count * (slope / OPERATOR_SD).powi(2);
+                vector[(at, 0)] += sum * slope / OPERATOR_SD.powi(2);
+            }
+            at += 1;
+        }
+    }
+}
+
+fn moved(
+    frame: &Frame,
+    effects: &[&dyn Effect],
+    state: &State,
+    solution: &Solution,
+    scale: f64,
+    subset: &[usize],
+) -> State {
+    let mut next = state.clone();
+    let m = frame.deviation_root.nrows();
+    let step = |i: usize| scale * solution.step[(i, 0)];
+    for (i, d) in next.deviation_m.iter_mut().enumerate() {
+        *d += step(i);
+    }
+    for (k, b) in next.ballast.iter_mut().enumerate() {
+        *b += step(m + k).clamp(-0.7, 0.7);
+    }
+    for (i, own) in subset.iter().zip(&solution.own_m) {
+        next.shift_m[*i] += step(m + 3) + scale * own;
+    }
+    let mut at = m + 4;
+    for (e, effect) in effects.iter().enumerate() {
+        for (k, p) in effect.parameters().iter().enumerate() {
+            let most = 2.0 * p.prior.1;
+            let value = next.effects[e][k] + step(at).clamp(-most, most);
+            next.effects[e][k] = value.clamp(p.range[0], p.range[1]);
+            at += 1;
+        }
+    }
+    next
+}
+
+fn finish(
+    frame: &Frame,
+    effects: &[&dyn Effect],
+    state: State,
+    shape: &Shape,
+    linear: Linearised,
+    cost: f64,
+    subset: &[usize],
+) -> Result<Fit, GapError> {
+    let solution = solve(frame, effects, &state, shape, &linear, subset)?;
+    let factor = solution
+        .hessian
+        .llt(faer::Side::Lower)
+        .map_err(|_| GapError::Singular { what: "the curvature at the best fit" })?;
+    let (n, m) = (shape.len(), shape.path);
+    let l = factor.L();
+    let log_det: f64 = (0..n).map(|i| l[(i, i)].ln()).sum();
+    let prior_log_det: f64 = (0..m).map(|i| frame.deviation_root[(i, i)].ln()).sum::<f64>()
+        + BALLAST_PRIOR.iter().map(|p| p.1.ln()).sum::<f64>()
+        + SHIFT_SD_M.0.ln()
+        + effects.iter().flat_map(|e| e.parameters()).map(|p| p.prior.1.ln()).sum::<f64>();
+    let wanted: Vec<usize> = (m..m + 3).chain(m + 4..n).collect();
+    let picked = Mat::from_fn(n, wanted.len(), |i, j| f64::from(u8::from(i == wanted[j])));
+    let covariance = picked.transpose() * factor.solve(&picked);
+    Ok(Fit {
+        state,
+        log_posterior: -cost,
+        log_evidence: -cost - log_det - prior_log_det,
+        covariance,
+        passages: linear.passages,
+    })
+}
+
+fn dot(a: &Mat<f64>, b: &Mat<f64>) -> f64 {
+    a.col_as_slice(0).iter().zip(b.col_as_slice(0)).map(|(x, y)| x * y).sum()
+}
+
+fn squared(a: &Mat<f64>) -> f64 {
+    dot(a, a)
+}
+
+/// Direction in which an effect, or the difference that a start value makes, moves the passages.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Direction {
+    /// Which of the effects.
+    pub effect: usize,
+    /// Which parameter, for effects that begin smoothly at nought.
+    pub parameter: Option<usize>,
+    /// Which start otherwise.
+    pub start: usize,
+}
+
+/// Information on the directions of a list of effects, the base model's own unknowns eliminated.
+pub struct Screening {
+    /// Order of rows and columns.
+    pub directions: Vec<Direction>,
+    /// Information matrix without the directions' priors.
+    pub information: Mat<f64>,
+    /// Information vector.
+    pub vector: Mat<f64>,
+    /// Prior standard deviation of each direction's coefficient.
+    pub prior_sd: Vec<f64>,
+}
+
+/// Linear screening of `candidates` around a fit with `accepted` effects.
+pub fn screen(
+    frame: &Frame,
+    (accepted, state): (&[&dyn Effect], &State),
+    candidates: &[&dyn Effect],
+    hints: &super::effect::Hints,
+    subset: &[usize],
+) -> Result<Screening, GapError> {
+    let here = Evaluation::new(frame, accepted, state, subset)?;
+    let base = derivatives(frame, accepted, state, subset, &here)?;
+    let mut directions = Vec::new();
+    let mut variants: Vec<(Vec<f64>, f64)> = Vec::new();
+    let mut prior_sd = Vec::new();
+    for (e, effect) in candidates.iter().enumerate() {
+        match effect.nought() {
+            Some(nought) => {
+                for (k, p) in effect.parameters().iter().enumerate() {
+                    let mut moved = nought.clone();
+                    moved[k] += p.step;
+                    directions.push(Direction { effect: e, parameter: Some(k), start: 0 });
+                    variants.push((moved, p.step));
+                    prior_sd.push(p.prior.1);
+                }
+            }
+            None => {
+                for (start, coordinates) in effect.starts(hints).into_iter().enumerate() {
+                    directions.push(Direction { effect: e, parameter: None, start });
+                    variants.push((coordinates, 1.0));
+                    prior_sd.push(1.0);
+                }
+            }
+        }
+    }
+    let columns: Vec<Vec<Vec<f64>>> = directions
+        .par_iter()
+        .zip(&variants)
+        .map(|(d, (coordinates, step))| {
+            let mut world = state.world(frame, accepted);
+            let effect = candidates[d.effect];
+            effect.apply(&mut world, &values(effect, coordinates));
+            let shifts = (&state.shift_m[..], 0.0);
+            let predicted = match effect.simulated() {
+                true => mean_windows(frame, &world, &simulate(&world, frame, subset)?, subset, shifts),
+                false => mean_windows(frame, &world, &here.responses, subset, shifts),
+            };
+            Ok(predicted
+                .iter()
+                .zip(&here.predicted)
+                .map(|(a, b)| a.iter().zip(b).map(|(a, b)| (a - b) / step).collect())
+                .collect())
+        })
+        .collect::<Result<_, GapError>>()?;
+    let both: Vec<Mat<f64>> = (0..subset.len())
+        .map(|p| {
+            let b = &base[p];
+            Mat::from_fn(b.nrows(), b.ncols() + columns.len(), |k, c| {
+                if c < b.ncols() { b[(k, c)] } else { columns[c - b.ncols()][p][k] }
+            })
+        })
+        .collect();
+    let linear = whiten(frame, subset, &both, &here.residuals);
+    let (mut information, mut vector) = reduced(frame, accepted, state, subset, &linear, columns.len())?;
+    // The operator's speeds see a clock from outside.
+    let clock = state.world(frame, accepted).sensor.clock_error;
+    let speeds = frame.observed.iter().filter_map(|o| o.operator_m_s.map(|v| v / o.speed_m_s - 1.0));
+    let (count, sum) = speeds.fold((0.0, 0.0), |(n, s), r| (n + 1.0, s + r - clock));
+    for (i, (d, (coordinates, step))) in directions.iter().zip(&variants).enumerate() {
+        let mut world = state.world(frame, accepted);
+        candidates[d.effect].apply(&mut world, &values(candidates[d.effect], coordinates));
+        let slope = (world.sensor.clock_error - clock) / step;
+        information[(i, i)] += count * (slope / OPERATOR_SD).powi(2);
+        vector[(i, 0)] += sum * slope / OPERATOR_SD.powi(2);
+    }
+    Ok(Screening { directions, information, vector, prior_sd })
+}
+
+/// Values at coordinates, inside their ranges.
+pub fn values(effect: &dyn Effect, coordinates: &[f64]) -> Vec<f64> {
+    let inside = |(p, c): (&super::effect::Parameter, &f64)| p.value(c.clamp(p.range[0], p.range[1]));
+    effect.parameters().iter().zip(coordinates).map(inside).collect()
+}
+
+/// Information on the last `extra` columns with everything before them eliminated.
+fn reduced(
+    frame: &Frame,
+    accepted: &[&dyn Effect],
+    state: &State,
+    subset: &[usize],
+    linear: &Linearised,
+    extra: usize,
+) -> Result<(Mat<f64>, Mat<f64>), GapError> {
+    let own_effects: usize = accepted.iter().map(|e| e.parameters().len()).sum();
+    let shape = Shape { path: frame.deviation_root.nrows(), effects: own_effects + extra };
+    let solution = solve(frame, accepted, state, &shape, linear, subset)?;
+    let (n, m) = (shape.len(), shape.len() - extra);
+    let h = &solution.hessian;
+    let block = |r: std::ops::Range<usize>, c: std::ops::Range<usize>| {
+        Mat::from_fn(r.len(), c.len(), |i, j| h[(r.start + i, c.start + j)])
+    };
+    let (bb, be, ee) = (block(0..m, 0..m), block(0..m, m..n), block(m..n, m..n));
+    let factor = bb
+        .llt(faer::Side::Lower)
+        .map_err(|_| GapError::Singular { what: "the base model around its fit" })?;
+    let information = &ee - be.transpose() * factor.solve(&be);
+    let right = Mat::from_fn(m, 1, |i, _| solution.vector[(i, 0)]);
+    let own = Mat::from_fn(extra, 1, |i, _| solution.vector[(m + i, 0)]);
+    let vector = &own - be.transpose() * factor.solve(&right);
+    Ok((information, vector))
+}

@@ -1,0 +1,209 @@
+//! Effects that differ from wheel to wheel or from passage to passage: their size is a parameter, their phase, place or
+//! sign is drawn anew every time and found in the recording itself, like the axle times.
+
+use faer::Mat;
+use rayon::prelude::*;
+
+use super::data::{Observed, RATE_HZ};
+use super::effect::Stage;
+use super::fit::whitened;
+use super::forward::Response;
+use super::linear::BogieResponses;
+use super::variation::{Shapes, Variation};
+use super::world::World;
+use crate::track::Side;
+
+/// What a latent effect may look at.
+pub struct Scene<'a> {
+    /// World of the current model.
+    pub world: &'a World,
+    /// All passages.
+    pub observed: &'a [Observed],
+    /// Residual windows of every passage and bogie.
+    pub residuals: Vec<Vec<Vec<f64>>>,
+    /// Linear responses of every passage.
+    pub responses: &'a [BogieResponses],
+    /// Whitened views of every passage's wheelsets.
+    pub wheels: Vec<[WheelView; 2]>,
+    /// Passages to learn from.
+    pub train: &'a [usize],
+    /// Residual of the whole recording, per passage.
+    pub traces: Vec<Trace>,
+}
+
+/// Residual over the whole train.
+pub struct Trace {
+    /// Recorder time of the first value, s.
+    pub start_s: f64,
+    /// Measured less predicted, at [`RATE_HZ`], m/s².
+    pub residual: Vec<f64>,
+}
+
+/// One axle of the bogies of a passage, whitened by the covariance of a bogie's window.
+pub struct WheelView {
+    /// Response to the path under this axle.
+    pub profile: Mat<f64>,
+    /// Residual windows, one column per bogie.
+    pub residual: Mat<f64>,
+}
+
+/// What a latent effect found.
+#[derive(Clone, Debug)]
+pub struct LatentFit {
+    /// Gain in log evidence over the training passages.
+    pub gain: f64,
+    /// Values with intervals: name, value, lower, upper.
+    pub parameters: Vec<(&'static str, f64, f64, f64)>,
+    /// What it adds to every window: passage, bogie.
+    pub windows: Vec<Vec<Vec<f64>>>,
+    /// What it adds to the whole recording, on the time axis of the scene's traces.
+    pub traces: Vec<Vec<f64>>,
+}
+
+/// An effect of this kind.
+pub trait Latent: Sync + Send {
+    /// Name in the contract.
+    fn name(&self) -> &'static str;
+    /// Place in the chain.
+    fn stage(&self) -> Stage;
+    /// Looks for the effect; `None` when there is no trace of it.
+    fn explore(&self, scene: &Scene) -> Option<LatentFit>;
+}
+
+impl<'a> Scene<'a> {
+    /// Residuals of a model over all passages.
+    #[allow(clippy::too_many_arguments, reason = "the parts of a model are kept apart elsewhere")]
+    pub fn new(
+        world: &'a World,
+        observed: &'a [Observed],
+        responses: &'a [BogieResponses],
+        shapes: &[Shapes],
+        variation: &Variation,
+        bogies: &[Response],
+        late_s: &[f64],
+        train: &'a [usize],
+    ) -> Self {
+        let gain = |o: &Observed| world.sensor.gain_at(o.temperature_c);
+        let residuals: Vec<Vec<Vec<f64>>> = observed
+            .par_iter()
+            .zip(bogies)
+            .zip(late_s)
+            .map(|((o, r), late)| o.window_residuals(r, gain(o), *late))
+            .collect();
+        let wheels = (0..observed.len())
+            .into_par_iter()
+            .map(|i| {
+                let factor = shapes[i].factor(variation);
+                [0, 1].map(|axle| {
+                    let n = observed[i].mean.len();
+                    let y = Mat::from_fn(n, residuals[i].len(), |k, c| residuals[i][c][k]);
+                    match &factor {
+                        Some(f) => WheelView {
+                            profile: whitened(f, &responses[i].profile[axle]),
+                            residual: whitened(f, &y),
+                        },
+                        None => WheelView { profile: responses[i].profile[axle].clone(), residual: y },
+                    }
+                })
+            })
+            .collect();
+        let traces = observed
+            .par_iter()
+            .zip(bogies)
+            .zip(late_s)
+            .map(|((o, r), late)| {
+                let (start_s, mut residual) = o.trace();
+                let bogies: Vec<f64> = o.bogie_s().iter().map(|b| -(b + late)).collect();
+                let starts: Vec<f64> = bogies.iter().map(|b| -b).collect();
+                let mut predicted = vec![0.0; residual.len()];
+                r.add_train(&starts, gain(o), start_s - o.first_axle_s, 1.0 / RATE_HZ, &mut predicted);
+                residual.iter_mut().zip(&predicted).for_each(|(a, p)| *a -= p);
+                Trace { start_s, residual }
+            })
+            .collect();
+        Self { world, observed, residuals, responses, wheels, train, traces }
+    }
+
+    /// Values of a function of travelled distance at the knots of the path: along the crossing rail, and on the stock rail
+    /// where `both`.
+    pub fn at_knots(&self, both: bool, f: impl Fn(f64) -> f64) -> Vec<f64> {
+        let direction = self.world.crossing.traffic_direction.sign();
+        let knots = self.world.path.deviation.knots();
+        knots
+            .iter()
+            .map(|(side, x)| if both || *side == Side::Crossing { f(direction * x) } else { 0.0 })
+            .collect()
+    }
+
+    /// Spreads window contributions over the recordings.
+    pub fn spread(&self, windows: &[Vec<Vec<f64>>]) -> Vec<Vec<f64>> {
+        self.observed
+            .iter()
+            .zip(&self.traces)
+            .zip(windows)
+            .map(|((o, trace), windows)| {
+                let mut out = vec![0.0; trace.residual.len()];
+                for (bogie, window) in o.bogie_s().iter().zip(windows) {
+                    let from = o.first_axle_s + bogie + o.first_s - trace.start_s;
+                    for (k, value) in out.iter_mut().enumerate() {
+                        let p = (k as f64 / RATE_HZ - from) * RATE_HZ;
+                        if p >= 0.0 && (p as usize) + 1 < window.len() {
+                            let (i, t) = (p as usize, p.fract());
+                            *value += (1.0 - t) * window[i] + t * window[i + 1];
+                        }
+                    }
+                }
+                out
+            })
+            .collect()
+    }
+
+    /// Windows cut from signals over the whole recording.
+    pub fn cut(&self, traces: &[Vec<f64>]) -> Vec<Vec<Vec<f64>>> {
+        self.observed
+            .iter()
+            .zip(&self.traces)
+            .zip(traces)
+            .map(|((o, trace), signal)| {
+                let window = |bogie: &f64| {
+                    let from = o.first_axle_s + bogie + o.first_s - trace.start_s;
+                    (0..o.mean.len())
+                        .map(|k| {
+                            let p = from * RATE_HZ + k as f64;
+                            let i = p.max(0.0) as usize;
+                            let t = p - i as f64;
+                            match signal.get(i..i + 2) {
+                                Some(s) => (1.0 - t) * s[0] + t * s[1],
+                                None => 0.0,
+                            }
+                        })
+                        .collect()
+                };
+                o.bogie_s().iter().map(window).collect()
+            })
+            .collect()
+    }
+}
+
+/// ln(1 − share + share · e^gain), without overflow.
+pub fn mixed(share: f64, gain: f64) -> f64 {
+    let top = gain.max(0.0);
+    top + ((1.0 - share) * (-top).exp() + share * (gain - top).exp()).ln()
+}
+
+/// Probability that one of a mixture is there.
+pub fn responsibility(share: f64, gain: f64) -> f64 {
+    1.0 / (1.0 + (1.0 - share) / share.max(1e-12) * (-gain).exp())
+}
+
+/// Shares tried for mixtures.
+pub const SHARES: [f64; 9] = [0.02, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.7, 0.95];
+
+/// Best share for a list of gains: (log evidence, share).
+pub fn best_share(gains: &[f64]) -> (f64, f64) {
+    SHARES
+        .iter()
+        .map(|q| (gains.iter().map(|g| mixed(*q, *g)).sum::<f64>(), *q))
+        .max_by(|a, b| a.0.total_cmp(&b.0))
+        .unwrap_or((0.0, 0.0))
+}

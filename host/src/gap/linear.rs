@@ -1,0 +1,174 @@
+//! Response of a bogie's window to a small change of the path under one of its wheels, and of their loads.
+//!
+//! Differences of simulations: every knot of the path is raised a little under either wheel at three speeds that span
+//! the site's, and the response is interpolated to each passage's speed in time since the wheel meets the knot. That
+//! keeps the coupling of the wheels through rail, wheelset and bogie, and the contact law at its operating point.
+
+use faer::Mat;
+use rayon::prelude::*;
+
+use super::GapError;
+use super::data::{Observed, RATE_HZ};
+use super::forward::{Response, Simulator};
+use super::splines::PathSplines;
+use super::world::World;
+use crate::track::Side;
+
+/// Change of a knot, metres: a small part of what loses contact.
+const BUMP_M: f64 = 20e-6;
+/// Change of a wheel's load, relative.
+const LOAD_STEP: f64 = 0.02;
+/// Speeds closer than this (relative) need no interpolation.
+const SAME_SPEED: f64 = 0.01;
+
+/// Window responses of one bogie, columns as in the profile grids; loads relative to the static force.
+#[derive(Clone, Debug)]
+pub struct BogieResponses {
+    /// Both wheelsets: window × profile, m/s² per metre.
+    pub both: Mat<f64>,
+    /// Front and rear wheelset, the stock side's share of each only about right.
+    pub profile: [Mat<f64>; 2],
+    /// Front and rear wheelset, crossing and stock side: window per relative change of load.
+    pub load: [[Vec<f64>; 2]; 2],
+}
+
+impl BogieResponses {
+    /// A path that has no influence.
+    pub fn without_path(len: usize, knots: usize) -> Self {
+        let none = || Mat::zeros(len, knots);
+        Self {
+            both: none(),
+            profile: [none(), none()],
+            load: std::array::from_fn(|_| [vec![0.0; len], vec![0.0; len]]),
+        }
+    }
+}
+
+/// Differences at one speed.
+struct Node {
+    speed_m_s: f64,
+    /// Per axle and knot; stock knots hold the response of both axles, for both.
+    knots: [Vec<Response>; 2],
+    loads: [Response; 4],
+}
+
+/// Linear model of a site around a world.
+pub struct Linear {
+    nodes: Vec<Node>,
+    /// Travel at which a wheel meets each knot, metres, and whether the knot is on the stock rail.
+    knots: Vec<(f64, bool)>,
+    axle_spacing_m: f64,
+}
+
+impl Linear {
+    /// Around a world, for the speeds of `observed`; the first passage's load stands for all.
+    pub fn new(world: &World, observed: &[Observed]) -> Result<Self, GapError> {
+        let direction = world.crossing.traffic_direction.sign();
+        let axle_load_kg = observed.first().map_or(world.crossing.vehicle.axle_load_kg, |o| o.axle_load_kg);
+        let grids = &world.path.deviation;
+        let knots: Vec<(f64, bool)> =
+            grids.knots().iter().map(|(side, x)| (direction * x, *side == Side::Stock)).collect();
+        let simulator = Simulator::new(world, axle_load_kg)?;
+        let nodes = speeds(observed)
+            .into_iter()
+            .map(|speed_m_s| node(world, &simulator, axle_load_kg, speed_m_s))
+            .collect::<Result<_, _>>()?;
+        Ok(Self { nodes, knots, axle_spacing_m: world.crossing.vehicle.axle_spacing_m })
+    }
+
+    /// For the windows of a passage.
+    pub fn responses(&self, o: &Observed) -> BogieResponses {
+        let weights = weights(&self.nodes, o.speed_m_s);
+        let gap_s = self.axle_spacing_m / o.speed_m_s;
+        let at = |axle: usize, knot: usize, t: f64| -> f64 {
+            let (travel_m, _) = self.knots[knot];
+            // Time since this axle's wheel met the knot is kept.
+            let behind_m = if self.knots[knot].1 { 0.0 } else { axle as f64 * self.axle_spacing_m };
+            let met = (travel_m + behind_m) / o.speed_m_s;
+            self.nodes
+                .iter()
+                .zip(&weights)
+                .map(|(n, w)| w * n.knots[axle][knot].at((travel_m + behind_m) / n.speed_m_s + t - met))
+                .sum()
+        };
+        let time = |k: usize| o.first_s + k as f64 / RATE_HZ;
+        let (len, knots) = (o.mean.len(), self.knots.len());
+        // Both wheels of the stock rail were over the bump: take the later ones off again.
+        let one = |axle: usize, j: usize, t: f64| match self.knots[j].1 {
+            false => at(axle, j, t),
+            true => {
+                let t = t - axle as f64 * gap_s;
+                at(0, j, t) - at(0, j, t - gap_s) + at(0, j, t - 2.0 * gap_s)
+            }
+        };
+        let profile = [0, 1].map(|axle| Mat::from_fn(len, knots, |k, j| one(axle, j, time(k))));
+        let both = Mat::from_fn(len, knots, |k, j| match self.knots[j].1 {
+            false => profile[0][(k, j)] + profile[1][(k, j)],
+            true => at(0, j, time(k)),
+        });
+        let load = |wheel: usize| -> Vec<f64> {
+            (0..o.mean.len())
+                .map(|k| {
+                    let travel_m = (o.first_s + k as f64 / RATE_HZ) * o.speed_m_s;
+                    self.nodes
+                        .iter()
+                        .zip(&weights)
+                        .map(|(n, w)| w * n.loads[wheel].at(travel_m / n.speed_m_s))
+                        .sum()
+                })
+                .collect()
+        };
+        BogieResponses { both, profile, load: [[load(0), load(1)], [load(2), load(3)]] }
+    }
+
+    /// Response functions exist for this many knots.
+    pub fn len(&self) -> usize {
+        self.knots.len()
+    }
+
+    /// Never: a path has knots.
+    pub fn is_empty(&self) -> bool {
+        self.knots.is_empty()
+    }
+}
+
+/// Slowest, middle and fastest speed, or one where all are the same.
+fn speeds(observed: &[Observed]) -> Vec<f64> {
+    let all = observed.iter().map(|o| o.speed_m_s);
+    let (low, high) = all.fold((f64::INFINITY, 0.0_f64), |(l, h), v| (l.min(v), h.max(v)));
+    if high / low - 1.0 < SAME_SPEED { vec![0.5 * (low + high)] } else { vec![low, 0.5 * (low + high), high] }
+}
+
+/// Lagrange weights of the nodes at a speed.
+fn weights(nodes: &[Node], speed_m_s: f64) -> Vec<f64> {
+    (0..nodes.len())
+        .map(|i| {
+            (0..nodes.len())
+                .filter(|j| *j != i)
+                .map(|j| (speed_m_s - nodes[j].speed_m_s) / (nodes[i].speed_m_s - nodes[j].speed_m_s))
+                .product()
+        })
+        .collect()
+}
+
+fn node(world: &World, simulator: &Simulator, axle_load_kg: f64, speed_m_s: f64) -> Result<Node, GapError> {
+    let here = simulator.response(speed_m_s)?;
+    let grids: &PathSplines = &world.path.deviation;
+    let bump = |axle: usize, k: usize| -> Result<Response, GapError> {
+        Ok(simulator.with_bump(world, k, axle, BUMP_M)?.response(speed_m_s)?.less(&here, BUMP_M))
+    };
+    let front: Vec<Response> =
+        (0..grids.len()).into_par_iter().map(|k| bump(0, k)).collect::<Result<_, _>>()?;
+    let sides = grids.knots();
+    let rear: Vec<Response> = (0..grids.len())
+        .into_par_iter()
+        .map(|k| if sides[k].0 == Side::Stock { Ok(front[k].clone()) } else { bump(1, k) })
+        .collect::<Result<_, _>>()?;
+    let knots = [front, rear];
+    let load = |wheel: usize| -> Result<Response, GapError> {
+        let mut moved = world.clone();
+        moved.wheels.load[wheel / 2][wheel % 2] *= 1.0 + LOAD_STEP;
+        Ok(Simulator::new(&moved, axle_load_kg)?.response(speed_m_s)?.less(&here, LOAD_STEP))
+    };
+    Ok(Node { speed_m_s, knots, loads: [load(0)?, load(1)?, load(2)?, load(3)?] })
+}

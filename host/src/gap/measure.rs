@@ -1,0 +1,239 @@
+//! The gap in numbers: predictions of passages, RMS ratios, noise floor, bands, bootstrap.
+
+use rayon::prelude::*;
+
+use super::data::RATE_HZ;
+use super::fit::Frame;
+use super::forward::Response;
+use super::latent::LatentFit;
+use super::world::World;
+use crate::passage::random::Random;
+use crate::signal::{irfft, rfft, rfft_frequencies_hz, taper};
+
+/// One passage, measured and predicted, on one time axis at [`RATE_HZ`].
+#[derive(Clone, Debug)]
+pub struct Prediction {
+    /// As in the recordings.
+    pub passage_id: i32,
+    /// m/s.
+    pub speed_m_s: f64,
+    /// Acceleration, m/s²: measured, base model, corrected model.
+    pub acceleration: [Vec<f64>; 3],
+    /// Displacement from the same by the same integration, metres.
+    pub displacement: [Vec<f64>; 3],
+    /// First sample of every bogie's window, and their length.
+    pub windows: (Vec<usize>, usize),
+    /// Travel of the front axle at the first window sample, metres.
+    pub first_m: f64,
+}
+
+/// High-pass of the double integration, Hz.
+const HIGH_PASS_HZ: [f64; 2] = [2.0, 4.0];
+/// Search for the axle times, metres.
+const ALIGN_M: f64 = 0.15;
+
+/// Displacement from acceleration: double integration in the frequency domain, nothing below [`HIGH_PASS_HZ`].
+pub fn displacement(acceleration: &[f64]) -> Vec<f64> {
+    let n = (2 * acceleration.len()).next_multiple_of(2);
+    let mut padded = acceleration.to_vec();
+    padded.resize(n, 0.0);
+    let mut spectrum = rfft(&padded);
+    for (v, f) in spectrum.iter_mut().zip(rfft_frequencies_hz(n, RATE_HZ)) {
+        let omega = std::f64::consts::TAU * f;
+        let pass = 1.0 - taper(f, HIGH_PASS_HZ[0], HIGH_PASS_HZ[1]);
+        *v *= if pass > 0.0 { -pass / (omega * omega) } else { 0.0 };
+    }
+    let mut out = irfft(&spectrum, n);
+    out.truncate(acceleration.len());
+    out
+}
+
+/// Predictions of all passages by two models; of a passage only speed and axle times are used, and for effects that belong
+/// to single wheels or recordings their phases.
+pub fn predictions(
+    frame: &Frame,
+    before: (&World, &[Response]),
+    after: (&World, &[Response]),
+    latent: &[&LatentFit],
+) -> Vec<Prediction> {
+    (0..frame.observed.len())
+        .into_par_iter()
+        .map(|i| {
+            let o = &frame.observed[i];
+            let (start_s, measured) = o.trace();
+            let train = |(world, responses): (&World, &[Response])| {
+                let gain = world.sensor.gain_at(o.temperature_c);
+                let late = o.lag(&responses[i], gain, ALIGN_M / o.speed_m_s);
+                let bogies: Vec<f64> = o.bogie_s().iter().map(|b| b + late).collect();
+                let mut out = vec![0.0; measured.len()];
+                responses[i].add_train(&bogies, gain, start_s - o.first_axle_s, 1.0 / RATE_HZ, &mut out);
+                out
+            };
+            let (base, mut corrected) = (train(before), train(after));
+            for fit in latent {
+                corrected.iter_mut().zip(&fit.traces[i]).for_each(|(c, t)| *c += t);
+            }
+            let first =
+                |b: &f64| (((o.first_axle_s + b + o.first_s - start_s) * RATE_HZ).round().max(0.0)) as usize;
+            let windows = (o.bogie_s().iter().map(first).collect(), o.mean.len());
+            let acceleration = [measured, base, corrected];
+            let displacement = acceleration.each_ref().map(|a| displacement(a));
+            let first_m = o.first_s * o.speed_m_s;
+            Prediction {
+                passage_id: o.passage_id,
+                speed_m_s: o.speed_m_s,
+                acceleration,
+                displacement,
+                windows,
+                first_m,
+            }
+        })
+        .collect()
+}
+
+/// Sums of squares of one passage in one band: measured, base residual, corrected residual, floor.
+type Squares = [f64; 4];
+
+/// Gap in a band.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Band {
+    /// Name in the contract.
+    pub name: &'static str,
+    /// Ends, Hz, at the mean speed.
+    pub range_hz: [f64; 2],
+    /// Before, after, floor.
+    pub gap: [f64; 3],
+}
+
+/// Gap of a set of passages.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Gap {
+    /// Base model.
+    pub before: f64,
+    /// Corrected model.
+    pub after: f64,
+    /// What a perfect model would leave.
+    pub noise_floor: f64,
+    /// (before − after) / (before − floor).
+    pub closed_fraction: f64,
+    /// 90 % interval by resampling passages.
+    pub closed_fraction_ci90: [f64; 2],
+    /// Three bands.
+    pub bands: Vec<Band>,
+}
+
+/// Wavelength that separates quasi-static from dynamic, metres (paper, section 3.1).
+const SEPARATION_M: f64 = 2.3;
+/// Upper end of the dynamic band, Hz.
+const DYNAMIC_HZ: f64 = 100.0;
+/// Upper end of the high band, Hz.
+const HIGH_HZ: f64 = 250.0;
+/// Resamples.
+const RESAMPLES: usize = 2000;
+
+/// Numbers of a set of passages; `changed`: whether the corrected model differs from the base model.
+pub fn measure(passages: &[Prediction], changed: bool) -> Gap {
+    let whole: Vec<[Squares; 2]> = passages.par_iter().map(|p| squares(p, None)).collect();
+    let all: Vec<usize> = (0..whole.len()).collect();
+    let [before, after, floor] = ratios(&whole, &all);
+    let closed = |[before, after, floor]: [f64; 3]| {
+        if !changed || before <= floor { 0.0 } else { (before - after) / (before - floor) }
+    };
+    let mut random = Random::new(1, 0);
+    let mut resampled: Vec<f64> = (0..RESAMPLES)
+        .map(|_| {
+            let pick: Vec<usize> =
+                all.iter().map(|_| (random.unit() * all.len() as f64) as usize % all.len().max(1)).collect();
+            closed(ratios(&whole, &pick))
+        })
+        .collect();
+    resampled.sort_by(f64::total_cmp);
+    let speed = crate::signal::mean(&passages.iter().map(|p| p.speed_m_s).collect::<Vec<_>>());
+    let limit = speed / SEPARATION_M;
+    let bands =
+        [("quasi-static", [0.0, limit]), ("dynamic", [limit, DYNAMIC_HZ]), ("high", [DYNAMIC_HZ, HIGH_HZ])]
+            .into_iter()
+            .enumerate()
+            .map(|(k, (name, range_hz))| {
+                let parts: Vec<[Squares; 2]> = passages.par_iter().map(|p| squares(p, Some(k))).collect();
+                Band { name, range_hz, gap: ratios(&parts, &all) }
+            })
+            .collect();
+    Gap {
+        before,
+        after,
+        noise_floor: floor,
+        closed_fraction: closed([before, after, floor]),
+        closed_fraction_ci90: [
+            crate::signal::quantile(&resampled, 0.05),
+            crate::signal::quantile(&resampled, 0.95),
+        ],
+        bands,
+    }
+}
+
+/// sqrt((g_d² + g_a²) / 2) of base model, corrected model and floor.
+fn ratios(parts: &[[Squares; 2]], pick: &[usize]) -> [f64; 3] {
+    let sum = |quantity: usize, k: usize| pick.iter().map(|i| parts[*i][quantity][k]).sum::<f64>();
+    [1, 2, 3].map(|k| {
+        let ratio = |q: usize| sum(q, k) / sum(q, 0).max(f64::MIN_POSITIVE);
+        (0.5 * (ratio(0) + ratio(1))).sqrt()
+    })
+}
+
+/// Sums of squares of acceleration and displacement, in one of the three bands or in all.
+fn squares(p: &Prediction, band: Option<usize>) -> [Squares; 2] {
+    let limit = p.speed_m_s / SEPARATION_M;
+    let range = band.map(|k| [[0.0, limit], [limit, DYNAMIC_HZ], [DYNAMIC_HZ, HIGH_HZ]][k]);
+    [&p.acceleration, &p.displacement].map(|[measured, before, after]| {
+        let residual =
+            |model: &Vec<f64>| -> Vec<f64> { measured.iter().zip(model).map(|(m, p)| m - p).collect() };
+        let banded = |v: &[f64]| match range {
+            Some([low, high]) => crate::signal::brick_band(v, RATE_HZ, low, high - 1e-9),
+            None => v.to_vec(),
+        };
+        let total = |v: &[f64]| v.iter().map(|x| x * x).sum::<f64>();
+        let (before, after) = (banded(&residual(before)), banded(&residual(after)));
+        [total(&banded(measured)), total(&before), total(&after), floor(&after, &p.windows)]
+    })
+}
+
+/// What differs from bogie to bogie, and everything outside the windows.
+fn floor(residual: &[f64], (starts, len): &(Vec<usize>, usize)) -> f64 {
+    let windows: Vec<Vec<f64>> =
+        starts.iter().filter_map(|s| residual.get(*s..s + len)).map(<[f64]>::to_vec).collect();
+    let total = |v: &[f64]| v.iter().map(|x| x * x).sum::<f64>();
+    let inside: f64 = windows.iter().map(|w| total(w)).sum();
+    if windows.len() < 2 {
+        return total(residual);
+    }
+    let mean = super::data::mean_of(&windows);
+    let k = windows.len() as f64;
+    let scatter = (inside - k * total(&mean)) * k / (k - 1.0);
+    (total(residual) - inside).max(0.0) + scatter.max(0.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn analytic_displacement_of_a_sinusoid() {
+        let omega = std::f64::consts::TAU * 20.0;
+        let window = |k: usize| (std::f64::consts::PI * k as f64 / 1600.0).sin().powi(2);
+        let a: Vec<f64> = (0..1600).map(|k| window(k) * (omega * k as f64 / RATE_HZ).sin()).collect();
+        let d = displacement(&a);
+        for k in 600..1000 {
+            let expected = -a[k] / (omega * omega);
+            assert!((d[k] - expected).abs() < 0.02 / (omega * omega), "{k}");
+        }
+    }
+
+    #[test]
+    fn analytic_floor_leaves_out_what_bogies_share() {
+        // Four windows of 2: common part 3, own parts ±1.
+        let residual = [4.0, 4.0, 2.0, 2.0, 4.0, 4.0, 2.0, 2.0];
+        let found = floor(&residual, &(vec![0, 2, 4, 6], 2));
+        assert!((found - 8.0 * 4.0 / 3.0).abs() < 1e-12);
+    }
+}

@@ -1,0 +1,106 @@
+//! The files that `diagnose` leaves behind, each complete or absent.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use arrow_array::builder::{Float64Builder, ListBuilder};
+use arrow_array::{ArrayRef, Float64Array, Int32Array};
+use serde_json::{Value, json};
+
+use super::data::RATE_HZ;
+use super::diagnosis::Diagnosis;
+use super::measure::Prediction;
+use crate::recording::RecordingError;
+use crate::recording::files::{create_dir, write_atomic};
+use crate::recording::parquet::write_columns;
+use crate::report::{ReportError, diagnosis};
+
+/// Results that cannot be written.
+#[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)]
+pub enum DiagnosisFileError {
+    #[error(transparent)]
+    File(#[from] RecordingError),
+
+    #[error(transparent)]
+    Report(#[from] ReportError),
+}
+
+/// Writes `diagnosis.json`, `predictions.parquet` and `diagnosis.html`.
+pub fn write_diagnosis(dir: &Path, name: &str, found: &Diagnosis) -> Result<(), DiagnosisFileError> {
+    create_dir(dir)?;
+    write_predictions(&dir.join("predictions.parquet"), &found.predictions)?;
+    write_atomic(&dir.join("diagnosis.json"), format!("{:#}\n", diagnosis_json(found)).as_bytes())?;
+    write_atomic(&dir.join("diagnosis.html"), diagnosis::html(name, found)?.as_bytes())?;
+    Ok(())
+}
+
+/// The content of `diagnosis.json`.
+pub fn diagnosis_json(d: &Diagnosis) -> Value {
+    let bands: Vec<Value> = d
+        .gap
+        .bands
+        .iter()
+        .map(|b| {
+            json!({"name": b.name, "low_hz": b.range_hz[0], "high_hz": b.range_hz[1],
+                   "before": b.gap[0], "after": b.gap[1], "noise_floor": b.gap[2]})
+        })
+        .collect();
+    let effects: Vec<Value> = d
+        .effects
+        .iter()
+        .map(|e| {
+            let parameters: serde_json::Map<String, Value> = e
+                .parameters
+                .iter()
+                .map(|(n, v, l, u)| ((*n).to_string(), json!({"value": v, "lower": l, "upper": u})))
+                .collect();
+            json!({"name": e.name, "probability": e.probability, "parameters": parameters,
+                   "indistinguishable_from": e.indistinguishable_from})
+        })
+        .collect();
+    let ranking: Vec<Value> = d
+        .ranking
+        .iter()
+        .map(|r| json!({"name": r.name, "probability": r.probability, "gap_after": finite(r.gap_after)}))
+        .collect();
+    let cosines: Vec<Value> =
+        d.cosines.iter().map(|(a, b, c)| json!({"a": a, "b": b, "cosine": finite(*c)})).collect();
+    json!({
+        "verdict": d.verdict,
+        "gap": {"before": d.gap.before, "after": d.gap.after, "noise_floor": d.gap.noise_floor,
+                "closed_fraction": d.gap.closed_fraction, "closed_fraction_ci90": d.gap.closed_fraction_ci90},
+        "where": {"stage": d.stage, "bands": bands, "position_m": d.position_m, "depends_on": d.depends_on},
+        "effects": effects,
+        "ranking": ranking,
+        "held_out_passages": d.predictions.iter().map(|p| p.passage_id).collect::<Vec<_>>(),
+        "identifiability": cosines,
+        "remarks": d.remarks,
+    })
+}
+
+fn finite(value: f64) -> Option<f64> {
+    value.is_finite().then_some(value)
+}
+
+fn write_predictions(file: &Path, predictions: &[Prediction]) -> Result<(), RecordingError> {
+    let lists = |pick: &dyn Fn(&Prediction) -> &Vec<f64>| -> ArrayRef {
+        let mut builder = ListBuilder::new(Float64Builder::new());
+        for p in predictions {
+            builder.values().append_slice(pick(p));
+            builder.append(true);
+        }
+        Arc::new(builder.finish())
+    };
+    let columns: [(&str, ArrayRef); 8] = [
+        ("passage_id", Arc::new(predictions.iter().map(|p| Some(p.passage_id)).collect::<Int32Array>())),
+        ("sample_rate_hz", Arc::new(predictions.iter().map(|_| Some(RATE_HZ)).collect::<Float64Array>())),
+        ("measured_m_s2", lists(&|p| &p.acceleration[0])),
+        ("before_m_s2", lists(&|p| &p.acceleration[1])),
+        ("after_m_s2", lists(&|p| &p.acceleration[2])),
+        ("measured_m", lists(&|p| &p.displacement[0])),
+        ("before_m", lists(&|p| &p.displacement[1])),
+        ("after_m", lists(&|p| &p.displacement[2])),
+    ];
+    write_columns(file, columns)
+}

@@ -1,0 +1,378 @@
+//! Withheld check: sites with a drawn effect from a simulation that differs from the diagnosis model (finer mesh, shorter
+//! step, damped integrator, whole trains over the whole track), and the score of a diagnosis that saw only the site.
+
+use std::path::Path;
+
+use serde_json::Value;
+
+use super::GapError;
+use super::effects::{COMMON, LATENT};
+use crate::passage::random::Random;
+use crate::progress::Silent;
+use crate::recording::files::write_atomic;
+use crate::recording::{Design, Site, TrafficDirection};
+use crate::scenario::effects as kinds;
+use crate::scenario::{Effects, Scenario, ScenarioError, read_scenario, simulate};
+
+/// What a trial asks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Question {
+    /// No effect acts.
+    Nothing,
+    /// One effect of the catalogue acts.
+    One,
+    /// One acts that is left out of the catalogue.
+    LeftOut,
+    /// Two act.
+    Pair,
+}
+
+/// The sealed answer of a trial.
+#[derive(Clone, Debug, serde::Serialize)]
+pub struct Answer {
+    /// What is asked.
+    pub question: Question,
+    /// Names of the effects.
+    pub effects: Vec<&'static str>,
+    /// Value of the main parameter of each, as the diagnosis names it.
+    pub parameters: Vec<(&'static str, f64)>,
+    /// Change of the signal by the effects, RMS relative to the signal.
+    pub strength: f64,
+}
+
+/// A trial before the diagnosis.
+pub struct Trial {
+    /// What the diagnosis may see.
+    pub site: Site,
+    /// Effect to leave out of its catalogue.
+    pub exclude: Option<&'static str>,
+    /// The answer.
+    pub answer: Answer,
+}
+
+/// Why a trial cannot be drawn.
+#[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)]
+pub enum TrialError {
+    #[error(transparent)]
+    Scenario(#[from] ScenarioError),
+    #[error(transparent)]
+    File(#[from] crate::recording::RecordingError),
+    #[error(transparent)]
+    Gap(#[from] GapError),
+}
+
+const NOMINAL: &str = include_str!("trial_site.toml");
+
+/// Effects that trials draw; those without a detector in the catalogue are drawn as unknown ones.
+const DRAWN: [&str; 20] = [
+    "voided-sleepers",
+    "ballast-stiffening",
+    "ballast-mass",
+    "support-loss",
+    "pad-stiffness",
+    "crossing-rail",
+    "axle-load",
+    "unsprung-mass",
+    "load-transfer",
+    "front-rear",
+    "stock-irregularity",
+    "gain-temperature",
+    "saturation",
+    "clock-error",
+    "mount-resonance",
+    "wheel-out-of-roundness",
+    "tonal",
+    "bias-step",
+    "wheel-flat",
+    "hollow-wheels",
+];
+
+/// Draws and simulates trial `index` of `seed`; `work` holds a file while the nominal site is read.
+pub fn draw(seed: u64, index: u64, work: &Path) -> Result<Trial, TrialError> {
+    let mut random = Random::new(seed, 1000 + index);
+    let mut scenario = scenario(&mut random, work)?;
+    scenario.simulation.seed = seed.wrapping_mul(100_003).wrapping_add(index);
+    let question = match index % 10 {
+        0 | 5 => Question::Nothing,
+        3 => Question::LeftOut,
+        7 => Question::Pair,
+        _ => Question::One,
+    };
+    let count = match question {
+        Question::Nothing => 0,
+        Question::Pair => 2,
+        _ => 1,
+    };
+    let mut names: Vec<&'static str> = Vec::new();
+    while names.len() < count {
+        let name = DRAWN[(random.unit() * DRAWN.len() as f64) as usize % DRAWN.len()];
+        if !names.contains(&name) {
+            names.push(name);
+        }
+    }
+    let plain = simulate(&scenario, &Silent)?;
+    let parameters =
+        names.iter().map(|n| (*n, put(&mut scenario.simulation.effects, n, &mut random))).collect();
+    let changed = if names.is_empty() { plain.clone() } else { simulate(&scenario, &Silent)? };
+    let strength = strength(&plain.site, &changed.site);
+    let known =
+        |name: &str| COMMON.iter().any(|e| e.name() == name) || LATENT.iter().any(|e| e.name() == name);
+    let unknown = names.len() == 1 && !known(names[0]);
+    let question = if question == Question::One && unknown { Question::LeftOut } else { question };
+    let exclude = (question == Question::LeftOut).then(|| names[0]);
+    Ok(Trial {
+        site: changed.site,
+        exclude,
+        answer: Answer { question, effects: names, parameters, strength },
+    })
+}
+
+/// A site within what the field shows: both pads, both directions, soft and stiff ballast, shallow and deep crossings.
+fn scenario(random: &mut Random, work: &Path) -> Result<Scenario, TrialError> {
+    let file = work.join("nominal.toml");
+    write_atomic(&file, NOMINAL.as_bytes())?;
+    let mut s = read_scenario(&file)?;
+    if random.unit() < 0.5 {
+        s.crossing.design = Design::E60;
+        (s.crossing.pad.stiffness_n_m, s.crossing.pad.damping_ns_m) = (60e6, 6e3);
+    }
+    if random.unit() < 0.5 {
+        s.crossing.traffic_direction = TrafficDirection::Trailing;
+    }
+    let sim = &mut s.simulation;
+    sim.passages = 24;
+    sim.speed_m_s = random.between(34.0, 52.0);
+    sim.operator_speed_error = Some(0.006);
+    sim.ballast.p1_n_m2 = random.between(22e6, 38e6);
+    sim.ballast.p2_n_m2 = random.between(10e6, 38e6);
+    sim.ballast.p3 = random.between(0.3, 0.5);
+    sim.geometry.dip_m = random.between(0.7e-3, 1.8e-3);
+    sim.geometry.wear_m = random.between(0.05e-3, 0.15e-3);
+    sim.solver.dt_s = 0.8e-4;
+    sim.solver.theta = 0.52;
+    sim.solver.rail_step_m = 0.2;
+    sim.solver.sleeper_step_m = 0.2;
+    sim.solver.sleeper_modes = 6;
+    Ok(s)
+}
+
+/// Puts an effect of drawn strength into a scenario; its main parameter.
+fn put(effects: &mut Effects, name: &str, random: &mut Random) -> f64 {
+    let sign = if random.unit() < 0.5 { -1.0 } else { 1.0 };
+    let log = |random: &mut Random, low: f64, high: f64| random.between(low.ln(), high.ln()).exp();
+    let factor = |random: &mut Random, low: f64, high: f64| random.between(low, high).powf(sign);
+    match name {
+        "voided-sleepers" => {
+            let gap_m = log(random, 0.2e-3, 2e-3);
+            effects.voided_sleepers =
+                Some(kinds::VoidedSleepers { gap_m, sleepers: vec![(-1, 0.5), (0, 1.0), (1, 0.5)] });
+            gap_m
+        }
+        "ballast-stiffening" => {
+            let doubling_m = log(random, 0.3e-3, 2e-3);
+            effects.ballast_stiffening = Some(kinds::BallastStiffening { doubling_m, bilinear_factor: None });
+            doubling_m
+        }
+        "ballast-mass" => {
+            let mass_kg_m = log(random, 60.0, 400.0);
+            effects.ballast_mass = Some(kinds::BallastMass { mass_kg_m });
+            mass_kg_m
+        }
+        "support-loss" => {
+            let f = random.between(0.1, 0.5);
+            let side = if sign > 0.0 { 3..=6 } else { -6..=-3 };
+            effects.support_loss = Some(kinds::SupportLoss { factor: f, sleepers: side.collect() });
+            f
+        }
+        "pad-stiffness" => {
+            let f = factor(random, 1.4, 3.5);
+            effects.pad_stiffness = Some(kinds::PadStiffness { factor: f, damping_factor: 1.0 });
+            f
+        }
+        "crossing-rail" => {
+            let f = factor(random, 1.3, 2.0);
+            effects.crossing_rail = Some(kinds::CrossingRail { stiffness_factor: f, mass_factor: f.sqrt() });
+            f
+        }
+        "axle-load" => {
+            let f = factor(random, 1.06, 1.25);
+            effects.axle_load = Some(kinds::Factor { factor: f });
+            f
+        }
+        "unsprung-mass" => {
+            let f = factor(random, 1.15, 1.6);
+            effects.unsprung_mass = Some(kinds::Factor { factor: f });
+            f
+        }
+        "load-transfer" => {
+            let f = sign * random.between(0.06, 0.2);
+            effects.load_transfer = Some(kinds::LoadTransfer { to_crossing_side: f, to_front: 0.0 });
+            f
+        }
+        "front-rear" => {
+            let f = sign * random.between(0.15, 0.6);
+            effects.front_rear = Some(kinds::FrontRear { depth_difference: f });
+            f
+        }
+        "stock-irregularity" => {
+            let depth_m = random.between(0.2e-3, 1.2e-3);
+            let at_x_m = random.between(-1.5, 1.5);
+            effects.stock_irregularity = Some(kinds::StockIrregularity { depth_m, at_x_m, length_m: 0.4 });
+            depth_m
+        }
+        "gain-temperature" => {
+            let per_kelvin = sign * log(random, 1e-3, 8e-3);
+            effects.gain_temperature = Some(kinds::GainTemperature { per_kelvin, reference_c: 20.0 });
+            per_kelvin
+        }
+        "saturation" => {
+            let range_m_s2 = random.between(15.0, 50.0);
+            effects.saturation = Some(kinds::Saturation { range_m_s2 });
+            range_m_s2
+        }
+        "clock-error" => {
+            let relative = sign * random.between(0.005, 0.03);
+            effects.clock_error = Some(kinds::ClockError { relative });
+            relative
+        }
+        "mount-resonance" => {
+            let frequency_hz = log(random, 200.0, 600.0);
+            effects.mount_resonance =
+                Some(kinds::Mount { frequency_hz, damping_ratio: random.between(0.03, 0.2) });
+            frequency_hz
+        }
+        "wheel-out-of-roundness" => {
+            let order = 3 + (random.unit() * 8.0) as u32;
+            let amplitude_m = log(random, 0.03e-3, 0.2e-3);
+            effects.wheel_out_of_roundness =
+                Some(kinds::WheelOutOfRoundness { order, amplitude_m, share: random.between(0.2, 0.6) });
+            amplitude_m
+        }
+        "tonal" => {
+            let (frequency_hz, amplitude_m_s2) = (random.between(16.0, 240.0), log(random, 0.2, 3.0));
+            effects.tonal = Some(kinds::Tonal { frequency_hz, amplitude_m_s2 });
+            amplitude_m_s2
+        }
+        "bias-step" => {
+            let step_m_s2 = log(random, 0.3, 3.0);
+            effects.bias_step = Some(kinds::BiasSteps { step_m_s2, decay_s: log(random, 0.1, 1.0) });
+            step_m_s2
+        }
+        "wheel-flat" => {
+            let length_m = random.between(0.03, 0.07);
+            effects.wheel_flat = Some(kinds::WheelFlats { length_m, share: random.between(0.1, 0.5) });
+            length_m
+        }
+        _ => {
+            let depth_factor = random.between(1.4, 2.2);
+            effects.hollow_wheels = Some(kinds::HollowWheels {
+                depth_factor,
+                shift_m: random.between(-0.08, 0.08),
+                share: random.between(0.2, 0.5),
+            });
+            depth_factor
+        }
+    }
+}
+
+/// RMS of the change over RMS of the signal.
+fn strength(plain: &Site, changed: &Site) -> f64 {
+    let (mut change, mut signal) = (0.0, 0.0);
+    for (a, b) in plain.passages.iter().zip(&changed.passages) {
+        for (x, y) in a.acceleration_m_s2.iter().zip(&b.acceleration_m_s2) {
+            change += f64::from(x - y).powi(2);
+            signal += f64::from(*x).powi(2);
+        }
+    }
+    (change / f64::max(signal, f64::MIN_POSITIVE)).sqrt()
+}
+
+/// Score of one trial.
+#[derive(Clone, Debug, serde::Serialize)]
+pub struct Score {
+    /// The answer.
+    pub answer: Answer,
+    /// Change of the signal over the noise floor.
+    pub strength_to_floor: f64,
+    /// The verdict.
+    pub verdict: String,
+    /// Effects named, in order.
+    pub named: Vec<String>,
+    /// First effect, or a group of at most three with it.
+    pub first_group: Vec<String>,
+    /// Probability of the first.
+    pub probability: f64,
+    /// The question was answered right.
+    pub right: bool,
+    /// The main parameter is inside its interval, where the effect was named.
+    pub covered: Option<bool>,
+    /// Closed fraction.
+    pub closed_fraction: f64,
+}
+
+/// Scores a diagnosis against the opened answer.
+pub fn score(answer: Answer, diagnosis: &Value) -> Score {
+    let text = |v: &Value| v.as_str().unwrap_or_default().to_string();
+    let effects = diagnosis["effects"].as_array().cloned().unwrap_or_default();
+    let named: Vec<String> = effects.iter().map(|e| text(&e["name"])).collect();
+    let group_of = |e: &Value| {
+        let mut group = vec![text(&e["name"])];
+        group.extend(e["indistinguishable_from"].as_array().into_iter().flatten().map(text));
+        group
+    };
+    let groups: Vec<Vec<String>> = effects.iter().map(group_of).collect();
+    let first_group = groups.first().cloned().unwrap_or_default();
+    let verdict = text(&diagnosis["verdict"]);
+    let holds = |group: &Vec<String>, name: &str| group.len() <= 3 && group.iter().any(|g| g == name);
+    let right = match answer.question {
+        Question::Nothing => verdict == "no-gap",
+        Question::One => answer.effects.iter().all(|e| holds(&first_group, e)),
+        Question::Pair => answer.effects.iter().all(|e| groups.iter().any(|g| holds(g, e))),
+        Question::LeftOut => {
+            let stage = text(&diagnosis["where"]["stage"]);
+            verdict == "unexplained" || answer.effects.iter().any(|e| stage == stage_of(e))
+        }
+    };
+    let covered = effects.first().and_then(|e| {
+        let (_, value) = answer.parameters.iter().find(|(n, _)| *n == text(&e["name"]))?;
+        let ends: Vec<(f64, f64)> = e["parameters"]
+            .as_object()?
+            .iter()
+            .filter(|(n, _)| *n != "order" && *n != "frequency_hz" || text(&e["name"]) == "mount-resonance")
+            .filter_map(|(_, p)| Some((p["lower"].as_f64()?, p["upper"].as_f64()?)))
+            .collect();
+        // The main parameter is among the first; effects with one for each side hold it in either.
+        Some(ends.iter().any(|(l, u)| l <= value && value <= u))
+    });
+    let floor = diagnosis["gap"]["noise_floor"].as_f64().unwrap_or(f64::NAN);
+    Score {
+        strength_to_floor: answer.strength / floor,
+        probability: effects.first().and_then(|e| e["probability"].as_f64()).unwrap_or(0.0),
+        closed_fraction: diagnosis["gap"]["closed_fraction"].as_f64().unwrap_or(0.0),
+        answer,
+        verdict,
+        named,
+        first_group,
+        right,
+        covered,
+    }
+}
+
+/// Stage of an effect in the contract.
+fn stage_of(name: &str) -> &'static str {
+    match name {
+        "gain-temperature" | "saturation" | "bias-step" | "mount-resonance" | "tonal" => "sensor",
+        "clock-error" => "timing",
+        "stock-irregularity" => "geometry",
+        "axle-load"
+        | "unsprung-mass"
+        | "load-transfer"
+        | "front-rear"
+        | "wheel-out-of-roundness"
+        | "wheel-flat"
+        | "hollow-wheels" => "vehicle",
+        _ => "track",
+    }
+}

@@ -1,0 +1,52 @@
+//! From numbers to a verdict.
+
+use super::diagnosis::{Named, Ranked};
+use super::effect::Stage;
+use super::measure::Gap;
+
+/// The verdict.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Verdict {
+    /// The base model is as good as the recordings allow.
+    NoGap,
+    /// The named effects close the gap.
+    Explained,
+    /// They close part of it.
+    PartlyExplained,
+    /// There is a gap that no effect of the catalogue closes.
+    Unexplained,
+}
+
+/// Part of the gap beyond the floor, in quadrature, relative to the floor, below which there is none. The reference
+/// recordings have 0.1 to 0.4.
+const NO_GAP: f64 = 0.6;
+/// Closed fraction from which the gap counts as explained, and as partly explained.
+const EXPLAINED: f64 = 0.75;
+const PARTLY: f64 = 0.35;
+
+/// How far a gap is above its floor, in quadrature.
+pub fn excess(gap: f64, floor: f64) -> f64 {
+    (gap * gap - floor * floor).max(0.0).sqrt() / floor.max(f64::MIN_POSITIVE)
+}
+
+/// The verdict on a gap with the effects found.
+pub fn verdict(gap: &Gap, effects: &[Named]) -> Verdict {
+    let left = excess(gap.after, gap.noise_floor);
+    match effects.is_empty() {
+        true if left < NO_GAP => Verdict::NoGap,
+        true => Verdict::Unexplained,
+        false if gap.closed_fraction >= EXPLAINED || left < 0.5 * NO_GAP => Verdict::Explained,
+        false if gap.closed_fraction >= PARTLY => Verdict::PartlyExplained,
+        false => Verdict::Unexplained,
+    }
+}
+
+/// Stage that a gap points to.
+pub fn stage(verdict: Verdict, effects: &[Named], ranking: &[Ranked]) -> Option<Stage> {
+    match (verdict, effects.first()) {
+        (Verdict::NoGap, _) => None,
+        (_, Some(first)) => Some(first.stage),
+        (_, None) => ranking.iter().max_by(|a, b| a.gain.total_cmp(&b.gain)).map(|r| r.stage),
+    }
+}

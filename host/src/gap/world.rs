@@ -1,0 +1,117 @@
+//! What the diagnosis assumes of a site: everything that the forward simulation needs, as plain values.
+
+use super::splines::PathSplines;
+use crate::ballast::BallastParameters;
+use crate::passage::Profile;
+use crate::recording::Crossing;
+use crate::track::Side;
+
+/// Site as assumed. The base model has all deviations at nought; an effect changes some of them.
+#[derive(Clone, Debug)]
+pub struct World {
+    /// Description; pads, rails and masses may differ from the operator's.
+    pub crossing: Crossing,
+    /// Ballast around the crossing.
+    pub ballast: BallastParameters,
+    /// Departures of the ballast from a linear bed with three parameters.
+    pub bed: Bed,
+    /// Wheels of a bogie.
+    pub wheels: Wheels,
+    /// What the wheels run over.
+    pub path: Path,
+    /// Recorder.
+    pub sensor: SensorModel,
+}
+
+/// Departures from the linear three-parameter ballast.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Bed {
+    /// Sleepers, counted from the crossing sleeper, and a factor on their stiffness.
+    pub stiffness_factor: Vec<(i64, f64)>,
+    /// Sleepers and the gap under them, metres.
+    pub gap_m: Vec<(i64, f64)>,
+    /// Displacement at which the secant stiffness has doubled, metres.
+    pub doubling_m: Option<f64>,
+    /// Ballast moving with every sleeper, kg per metre of sleeper.
+    pub mass_kg_m: f64,
+}
+
+/// Wheels of a bogie, front and rear.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Wheels {
+    /// Static force of the wheels over nominal: `[front, rear][crossing, stock]`.
+    pub load: [[f64; 2]; 2],
+    /// Factor on the path's depth, front and rear.
+    pub depth: [f64; 2],
+    /// Factor on mass and roll inertia of the wheelsets.
+    pub unsprung: f64,
+}
+
+impl Default for Wheels {
+    fn default() -> Self {
+        Self { load: [[1.0; 2]; 2], depth: [1.0; 2], unsprung: 1.0 }
+    }
+}
+
+/// What the wheels run over: a scan where there is one, and what the recordings add to it.
+#[derive(Clone, Debug)]
+pub struct Path {
+    /// Scan, faded out beyond its ends.
+    pub scan: Profile,
+    /// Deviation from it on the crossing side, and the whole surface of the stock rail.
+    pub deviation: PathSplines,
+    /// Extent in which the deviation counts, metres from x = 0.
+    pub half_m: f64,
+    /// A dip in the stock rail: depth, position x, length, metres.
+    pub stock_dip: Option<[f64; 3]>,
+}
+
+impl Path {
+    /// Depth at `x_m`, metres.
+    pub fn at(&self, side: Side, x_m: f64) -> f64 {
+        let fade = crate::passage::surface::smooth_step((self.half_m - x_m.abs()) / FADE_M);
+        let scan = if side == Side::Crossing { self.scan.at(x_m) } else { 0.0 };
+        let dip = if side == Side::Stock { self.stock_dip.map_or(0.0, |d| cosine_dip(d, x_m)) } else { 0.0 };
+        scan + fade * (self.deviation.at(side, x_m) + dip)
+    }
+}
+
+/// depth (1 + cos)/2 over a length around a position.
+fn cosine_dip([depth_m, at_x_m, length_m]: [f64; 3], x_m: f64) -> f64 {
+    let turn = (x_m - at_x_m) / length_m;
+    if turn.abs() >= 0.5 { 0.0 } else { 0.5 * depth_m * (1.0 + (std::f64::consts::TAU * turn).cos()) }
+}
+
+/// The estimated profile ends over this length, metres.
+const FADE_M: f64 = 0.2;
+
+/// Recorder.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SensorModel {
+    /// Sensitivity at 20 °C, 1 is right.
+    pub gain: f64,
+    /// Change of the sensitivity, 1/K.
+    pub gain_per_kelvin: f64,
+    /// The clock runs faster than stated by this part.
+    pub clock_error: f64,
+    /// Resonance of the mounting: frequency in Hz, damping ratio.
+    pub mount: Option<(f64, f64)>,
+    /// Range of the transducer, m/s².
+    pub range_m_s2: Option<f64>,
+}
+
+/// Temperature at which the sensitivity is referred to, °C.
+pub const REFERENCE_C: f64 = 20.0;
+
+impl Default for SensorModel {
+    fn default() -> Self {
+        Self { gain: 1.0, gain_per_kelvin: 0.0, clock_error: 0.0, mount: None, range_m_s2: None }
+    }
+}
+
+impl SensorModel {
+    /// Sensitivity at a temperature.
+    pub fn gain_at(&self, temperature_c: f64) -> f64 {
+        self.gain + self.gain_per_kelvin * (temperature_c - REFERENCE_C)
+    }
+}

@@ -1,0 +1,259 @@
+//! The page of a diagnosis.
+
+use super::ReportError;
+use super::page::{self, Figure, Key, escape};
+use super::plot::{Axis, BLUE, GREEN, GREY, Layer, ORANGE, Plot, Point, RED, range_of};
+use crate::gap::diagnosis::{Diagnosis, Residual};
+use crate::gap::measure::Prediction;
+use crate::gap::verdict::Verdict;
+use crate::signal::rms;
+
+/// The page as one HTML document.
+pub fn html(site: &str, d: &Diagnosis) -> Result<String, ReportError> {
+    let mut body = headline(site, d);
+    body.push_str(&effects(d));
+    body.push_str(&remarks(d));
+    body.push_str(&bands(d));
+    let mut figures = vec![residual_map(d)?, covariate(d, "speed")?, covariate(d, "temperature")?];
+    if let Some(p) = d.predictions.first() {
+        figures.insert(0, trace(p)?);
+    }
+    body.extend(figures.iter().map(Figure::html));
+    body.push_str(&ranking(d));
+    body.push_str(&identifiability(d));
+    body.push_str(&format!(
+        "<footer>cpcm {}. Gaps are RMS ratios of measured less predicted to measured, mean of acceleration and \
+         displacement in squares, on passages used for nothing else. All numbers: diagnosis.json, \
+         predictions.parquet.</footer>\n",
+        env!("CARGO_PKG_VERSION")
+    ));
+    Ok(page::document(&format!("{site} \u{2013} sim-to-real gap"), &body))
+}
+
+/// The verdict in words.
+pub fn sentence(d: &Diagnosis) -> String {
+    let names: Vec<&str> = d.effects.iter().map(|e| e.name).collect();
+    match d.verdict {
+        Verdict::NoGap => "No gap: the model predicts these recordings as well as their noise allows.".into(),
+        Verdict::Explained => format!("Explained by {}.", names.join(" and ")),
+        Verdict::PartlyExplained => {
+            format!("Partly explained by {}; something else acts too.", names.join(" and "))
+        }
+        Verdict::Unexplained => "There is a gap that nothing in the catalogue explains.".into(),
+    }
+}
+
+fn headline(site: &str, d: &Diagnosis) -> String {
+    let g = &d.gap;
+    format!(
+        "<h1>{}</h1>\n<p><strong>{}</strong></p>\n<p>Gap {:.3} before, {:.3} after, noise floor {:.3}; closed {:.0} % \
+         (90 %: {:.0} \u{2026} {:.0} %).</p>\n",
+        escape(site),
+        sentence(d),
+        g.before,
+        g.after,
+        g.noise_floor,
+        100.0 * g.closed_fraction,
+        100.0 * g.closed_fraction_ci90[0],
+        100.0 * g.closed_fraction_ci90[1]
+    )
+}
+
+fn table(head: &[&str], rows: &[Vec<String>]) -> String {
+    let head: String = head.iter().map(|h| format!("<th>{h}</th>")).collect();
+    let rows: String = rows
+        .iter()
+        .map(|r| {
+            format!("<tr>{}</tr>\n", r.iter().map(|c| format!("<td>{}</td>", escape(c))).collect::<String>())
+        })
+        .collect();
+    format!("<table>\n<tr>{head}</tr>\n{rows}</table>\n")
+}
+
+fn effects(d: &Diagnosis) -> String {
+    if d.effects.is_empty() {
+        return String::new();
+    }
+    let rows: Vec<Vec<String>> = d
+        .effects
+        .iter()
+        .map(|e| {
+            let parameters: Vec<String> = e
+                .parameters
+                .iter()
+                .map(|(n, v, l, u)| format!("{n} {v:.4} ({l:.4} \u{2026} {u:.4})"))
+                .collect();
+            vec![
+                e.name.into(),
+                format!("{:.2}", e.probability),
+                parameters.join("; "),
+                e.indistinguishable_from.join(", "),
+            ]
+        })
+        .collect();
+    format!(
+        "<h2>Which</h2>\n{}",
+        table(&["effect", "probability", "parameters (90 %)", "cannot be told from"], &rows)
+    )
+}
+
+fn remarks(d: &Diagnosis) -> String {
+    if d.remarks.is_empty() {
+        return String::new();
+    }
+    let items: String = d.remarks.iter().map(|r| format!("<li>{}</li>\n", escape(r))).collect();
+    format!("<h2>What these recordings cannot tell</h2>\n<ul>\n{items}</ul>\n")
+}
+
+fn bands(d: &Diagnosis) -> String {
+    let rows: Vec<Vec<String>> = d
+        .gap
+        .bands
+        .iter()
+        .map(|b| {
+            vec![
+                b.name.into(),
+                format!("{:.0} \u{2026} {:.0} Hz", b.range_hz[0], b.range_hz[1]),
+                format!("{:.3}", b.gap[0]),
+                format!("{:.3}", b.gap[1]),
+                format!("{:.3}", b.gap[2]),
+            ]
+        })
+        .collect();
+    format!("<h2>Where</h2>\n{}", table(&["band", "range", "before", "after", "noise floor"], &rows))
+}
+
+fn ranking(d: &Diagnosis) -> String {
+    let rows: Vec<Vec<String>> = d
+        .ranking
+        .iter()
+        .map(|r| vec![r.name.into(), format!("{:.3}", r.probability), format!("{:.1}", r.gain)])
+        .collect();
+    format!("<h2>All effects</h2>\n{}", table(&["effect", "probability", "gain in log evidence"], &rows))
+}
+
+/// Pairs whose directions are nearly the same.
+const ALIKE: f64 = 0.8;
+
+fn identifiability(d: &Diagnosis) -> String {
+    let rows: Vec<Vec<String>> = d
+        .cosines
+        .iter()
+        .filter(|(_, _, c)| c.abs() > ALIKE)
+        .map(|(a, b, c)| vec![(*a).into(), (*b).into(), format!("{c:.2}")])
+        .collect();
+    if rows.is_empty() {
+        return String::new();
+    }
+    format!(
+        "<h2>Effects that look alike here</h2>\n<p>Cosine between the directions in which two effects move these recordings, \
+         after the base model has taken its share.</p>\n{}",
+        table(&["effect", "effect", "cosine"], &rows)
+    )
+}
+
+/// First held-out passage: measured, both models.
+fn trace(p: &Prediction) -> Result<Figure, ReportError> {
+    let (starts, len) = &p.windows;
+    let from = starts.first().copied().unwrap_or(0);
+    let to = (from + len).min(p.acceleration[0].len());
+    let line = |values: &[f64]| -> Vec<Point> {
+        (from..to).map(|k| ((k - from) as f64 / crate::gap::data::RATE_HZ, values[k])).collect()
+    };
+    let lines = p.acceleration.each_ref().map(|a| line(a));
+    let svg = Plot {
+        x: Axis { caption: "time, s", range: range_of(lines[0].iter().map(|p| p.0), 0.0) },
+        y: Axis {
+            caption: "acceleration, m/s²", range: range_of(lines.iter().flatten().map(|p| p.1), 0.05)
+        },
+        down: false,
+        height: 620,
+        layers: vec![
+            Layer::Line { points: lines[0].clone(), color: GREY, opacity: 1.0, width: 6 },
+            Layer::Line { points: lines[1].clone(), color: ORANGE, opacity: 1.0, width: 3 },
+            Layer::Line { points: lines[2].clone(), color: BLUE, opacity: 1.0, width: 3 },
+        ],
+    }
+    .svg("First bogie of a held-out passage, measured and predicted")?;
+    Ok(Figure {
+        title: format!("First bogie of passage {}", p.passage_id),
+        caption: "A passage that nothing was learnt from; of it only speed and axle times are used.".into(),
+        keys: vec![
+            Key::line("measured", GREY),
+            Key::line("base model", ORANGE),
+            Key::line("corrected model", BLUE),
+        ],
+        svg,
+    })
+}
+
+/// Residual along the track, one line per passage, ordered by speed.
+fn residual_map(d: &Diagnosis) -> Result<Figure, ReportError> {
+    let mut rows: Vec<&Residual> = d.residuals.iter().collect();
+    rows.sort_by(|a, b| a.speed_m_s.total_cmp(&b.speed_m_s));
+    let largest = rows.iter().flat_map(|r| r.before.iter().map(|v| v.abs())).fold(1e-9, f64::max);
+    let line = |k: usize, r: &Residual, values: &[f64]| -> Vec<Point> {
+        r.position_m.iter().zip(values).map(|(x, v)| (*x, k as f64 + 1.0 + v / largest)).collect()
+    };
+    let mut layers = Vec::new();
+    for (k, r) in rows.iter().enumerate() {
+        layers.push(Layer::Line { points: line(k, r, &r.before), color: ORANGE, opacity: 0.9, width: 2 });
+        layers.push(Layer::Line { points: line(k, r, &r.after), color: BLUE, opacity: 0.9, width: 2 });
+    }
+    let svg = Plot {
+        x: Axis {
+            caption: "x of the front axle, m",
+            range: range_of(rows.iter().flat_map(|r| r.position_m.iter().copied()), 0.0),
+        },
+        y: Axis { caption: "passage, slowest at the bottom", range: (0.0, rows.len() as f64 + 1.0) },
+        down: false,
+        height: 900,
+        layers,
+    }
+    .svg("Residual of every passage along the track")?;
+    Ok(Figure {
+        title: "Residual along the track".into(),
+        caption: format!(
+            "Mean over the bogies of a train; one unit is {largest:.1} m/s². Features above one another are fixed to the track, \
+             features that lean are fixed in time."
+        ),
+        keys: vec![Key::line("base model", ORANGE), Key::line("corrected model", BLUE)],
+        svg,
+    })
+}
+
+fn covariate(d: &Diagnosis, what: &'static str) -> Result<Figure, ReportError> {
+    let x = |r: &Residual| if what == "speed" { r.speed_m_s } else { r.temperature_c };
+    let scale: Vec<Point> = d.residuals.iter().map(|r| (x(r), 100.0 * r.scale_error)).collect();
+    let size: Vec<Point> = d.residuals.iter().map(|r| (x(r), rms(&r.before))).collect();
+    let after: Vec<Point> = d.residuals.iter().map(|r| (x(r), rms(&r.after))).collect();
+    let dots =
+        |points: &[Point], color, size| Layer::Dots { points: points.to_vec(), color, opacity: 0.8, size };
+    let x_range = range_of(scale.iter().map(|p| p.0), 0.05);
+    let caption = if what == "speed" { "speed, m/s" } else { "temperature, °C" };
+    let (y, layers, keys, title) = if what == "speed" {
+        let range = range_of(size.iter().chain(&after).map(|p| p.1).chain([0.0]), 0.05);
+        (
+            Axis { caption: "residual RMS, m/s²", range },
+            vec![dots(&size, ORANGE, 9), dots(&after, BLUE, 9)],
+            vec![Key::dot("base model", ORANGE), Key::dot("corrected model", BLUE)],
+            "Residual against speed",
+        )
+    } else {
+        let range = range_of(scale.iter().map(|p| p.1).chain([0.0]), 0.1);
+        let zero = Layer::Line {
+            points: vec![(x_range.0, 0.0), (x_range.1, 0.0)],
+            color: GREEN,
+            opacity: 0.6,
+            width: 2,
+        };
+        (
+            Axis { caption: "measured over predicted, less 1, %", range },
+            vec![zero, dots(&scale, RED, 9)],
+            vec![Key::dot("base model", RED)],
+            "Scale of the recordings against temperature",
+        )
+    };
+    let svg = Plot { x: Axis { caption, range: x_range }, y, down: false, height: 560, layers }.svg(title)?;
+    Ok(Figure { title: title.into(), caption: "One point per passage.".into(), keys, svg })
+}

@@ -76,7 +76,7 @@ pub const SPEED_UNIT: f64 = 0.05;
 /// What distinguishes one wheel from another as far as the common profile goes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WheelClass {
-    /// Speed relative to the site's mean, in [`SPEED_UNIT`].
+    /// Speed relative to the site's mean, in steps of 5 %.
     pub speed: f64,
     /// Leading wheel of its bogie.
     pub leading: bool,

@@ -32,7 +32,7 @@ const HIGH_PASS_HZ: [f64; 2] = [2.0, 4.0];
 /// Search for the axle times, metres.
 const ALIGN_M: f64 = 0.15;
 
-/// Displacement from acceleration: double integration in the frequency domain, nothing below 3 Hz.
+/// Displacement from acceleration: double integration in the frequency domain, fading out between 4 and 2 Hz.
 pub fn displacement(acceleration: &[f64]) -> Vec<f64> {
     let n = (2 * acceleration.len()).next_multiple_of(2);
     let mut padded = acceleration.to_vec();

@@ -3,8 +3,10 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Mutex, PoisonError};
 
-use anyhow::{Context, bail};
+use anyhow::{Context, anyhow, bail};
 use clap::Args;
 
 use super::output::{print, print_json};
@@ -37,6 +39,9 @@ pub(super) struct BlindTrialArgs {
     /// Keep the sites and their diagnoses below the output directory
     #[arg(long)]
     keep: bool,
+    /// Trials at a time; 0: as many as there are cores
+    #[arg(long, default_value_t = 0)]
+    jobs: usize,
     /// Print the scores as JSON
     #[arg(long)]
     json: bool,
@@ -47,18 +52,41 @@ impl BlindTrialArgs {
         create_dir(&self.out)?;
         let bar = Bar::new();
         bar.begin("trials", self.trials);
-        let mut scores = Vec::new();
-        for index in self.first..self.first + self.trials {
-            let kept = self.keep.then(|| self.out.join(format!("trial-{index}")));
-            scores.push(one(self.seed, index, kept.as_deref()).with_context(|| format!("trial {index}"))?);
-            bar.step();
-            self.write(&scores)?;
-        }
+        let scores = self.all(&bar)?;
         drop(bar);
         match self.json {
             true => print_json(&serde_json::to_value(&scores)?),
             false => print(&table(&scores)),
         }
+    }
+
+    /// Runs the trials, several at a time; the order in which they end changes nothing.
+    fn all(&self, bar: &Bar) -> anyhow::Result<Vec<Score>> {
+        let jobs = match self.jobs {
+            0 => std::thread::available_parallelism().map_or(1, usize::from),
+            n => n,
+        };
+        let next = AtomicU64::new(self.first);
+        let done: Mutex<BTreeMap<u64, Score>> = Mutex::new(BTreeMap::new());
+        let work = || -> anyhow::Result<()> {
+            loop {
+                let index = next.fetch_add(1, Ordering::Relaxed);
+                if index >= self.first + self.trials {
+                    return Ok(());
+                }
+                let kept = self.keep.then(|| self.out.join(format!("trial-{index}")));
+                let found = one(self.seed, index, kept.as_deref()).with_context(|| format!("trial {index}"))?;
+                let mut done = done.lock().unwrap_or_else(PoisonError::into_inner);
+                done.insert(index, found);
+                bar.step();
+                self.write(&done.values().cloned().collect::<Vec<_>>())?;
+            }
+        };
+        std::thread::scope(|scope| {
+            let threads: Vec<_> = (0..jobs).map(|_| scope.spawn(work)).collect();
+            threads.into_iter().try_for_each(|t| t.join().map_err(|_| anyhow!("a trial broke down"))?)
+        })?;
+        Ok(done.into_inner().unwrap_or_else(PoisonError::into_inner).into_values().collect())
     }
 
     fn write(&self, scores: &[Score]) -> anyhow::Result<()> {
@@ -84,6 +112,8 @@ fn one(seed: u64, index: u64, kept: Option<&Path>) -> anyhow::Result<Score> {
 fn diagnose(site: &Path, out: &Path, exclude: Option<&str>) -> anyhow::Result<serde_json::Value> {
     let program = std::env::current_exe().context("this program has no path")?;
     let mut command = Command::new(program);
+    // Nothing but the site is handed over, neither seed nor number; one thread each, as trials run side by side.
+    command.env_clear().env("RAYON_NUM_THREADS", "1");
     command.arg("diagnose").arg(site).arg("--out").arg(out);
     if let Some(name) = exclude {
         command.args(["--exclude", name]);

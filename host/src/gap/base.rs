@@ -4,6 +4,7 @@ use faer::Mat;
 use rayon::prelude::*;
 
 use super::GapError;
+use super::comb::{SPEEDS_M_S, comb};
 use super::data::{Observed, window_m};
 use super::effect::Effect;
 use super::fit::{Fit, FitOptions, Frame, State, fit};
@@ -55,38 +56,52 @@ pub struct Base {
     pub window_m: (f64, f64),
 }
 
+/// The operator's speed is right within 1 %, the recorder's clock within 4 %.
+const OPERATOR: f64 = 0.05;
+/// The speed of the envelope is right within this, relative; the next maximum of the coherent stack is farther away.
+const ABOUT: f64 = 0.015;
+
+/// Wheels hit the crossing within this from x = 0, metres, half a bogie's axle spacing apart from the next choice.
+const ASTRAY_M: f64 = 1.45;
+
 /// Reads the recordings.
 pub fn observe(site: &Site) -> Result<Vec<Observed>, GapError> {
     let crossing = &site.crossing;
     let pattern = AxlePattern::of_vehicle(&crossing.vehicle);
     let track = Track::of_crossing(crossing, Mesh::default());
     let direction = crossing.traffic_direction.sign();
-    let found: Vec<(usize, Recording, f64)> = site
+    let found: Vec<(usize, Recording, f64, f64)> = site
         .passages
         .par_iter()
         .enumerate()
         .filter_map(|(i, p)| {
             let recording = Recording::new(p, &crossing.sensor);
-            let search = match p.speed_m_s {
-                Some(v) => SpeedSearch { range_m_s: [0.95 * v, 1.05 * v], ..SpeedSearch::default() },
-                None => SpeedSearch::default(),
+            let likely =
+                p.speed_m_s.map_or(SPEEDS_M_S, |v| [(1.0 - OPERATOR) * v, (1.0 + OPERATOR) * v]);
+            let (about, hit_s) = comb(&recording, &pattern, likely)?;
+            let search = SpeedSearch {
+                range_m_s: [(1.0 - ABOUT) * about, (1.0 + ABOUT) * about],
+                ..SpeedSearch::default()
             };
-            estimate_speed(&recording, &pattern, search).map(|v| (i, recording, v))
+            estimate_speed(&recording, &pattern, search).map(|v| (i, recording, v, hit_s))
         })
         .collect();
     if found.is_empty() {
         return Err(GapError::Silent);
     }
     let force = |i: usize| static_wheel_force_n(site.passages[i].axle_load_kg, crossing.vehicle.gravity_m_s2);
-    let inputs: Vec<(&Recording, f64, f64)> = found.iter().map(|(i, r, v)| (r, *v, force(*i))).collect();
+    let inputs: Vec<(&Recording, f64, f64)> = found.iter().map(|(i, r, v, _)| (r, *v, force(*i))).collect();
     let first_axle_s = QuasiStatic::new(&track, direction, &pattern, &inputs).align(&NOMINAL);
     let sensor_along_m = direction * track.sleeper_x_m[track.sensor_sleeper];
     let window = window_m(&pattern, sensor_along_m, crossing.vehicle.axle_spacing_m);
     Ok(found
         .into_iter()
         .zip(first_axle_s)
-        .map(|((i, recording, speed_m_s), first_axle_s)| {
+        .map(|((i, recording, speed_m_s, hit_s), deflected_s)| {
             let p = &site.passages[i];
+            // Clipping shifts the baseline, and the deflection may then be found a whole car away.
+            let astray = (deflected_s - hit_s).abs() * speed_m_s > ASTRAY_M;
+            let first_axle_s = if astray { hit_s } else { deflected_s };
             let mut observed = Observed {
                 passage_id: p.passage_id,
                 recording,

@@ -8,6 +8,7 @@ mod clock_error;
 mod crossing_rail;
 mod front_rear;
 mod gain_temperature;
+mod hollow_wheels;
 mod load_transfer;
 mod mount_resonance;
 mod pad_stiffness;
@@ -17,6 +18,7 @@ mod support_loss;
 mod tonal;
 mod unsprung_mass;
 mod voided_sleepers;
+mod wheel_flat;
 mod wheel_out_of_roundness;
 
 use super::effect::Effect;
@@ -42,5 +44,10 @@ pub static COMMON: [&dyn Effect; 15] = [
 ];
 
 /// Effects that differ from wheel to wheel or from passage to passage.
-pub static LATENT: [&dyn Latent; 3] =
-    [&wheel_out_of_roundness::WheelOutOfRoundness, &tonal::Tonal, &bias_step::BiasStep];
+pub static LATENT: [&dyn Latent; 5] = [
+    &wheel_out_of_roundness::WheelOutOfRoundness,
+    &wheel_flat::WheelFlat,
+    &hollow_wheels::HollowWheels,
+    &tonal::Tonal,
+    &bias_step::BiasStep,
+];

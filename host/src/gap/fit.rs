@@ -74,6 +74,8 @@ pub struct Whitened {
 const BALLAST_PRIOR: [(f64, f64); 3] = [(17.2, 1.0), (17.2, 1.0), (0.4, 0.1)];
 /// Steps of the numerical derivatives.
 const BALLAST_STEP: [f64; 3] = [0.04, 0.04, 0.04];
+/// Longest step of a fit: a factor of two in stiffness, a fifth of the range of the shape.
+const BALLAST_STRIDE: [f64; 3] = [0.7, 0.7, 0.2];
 /// Common and own position errors, metres.
 const SHIFT_SD_M: (f64, f64) = (0.05, 0.02);
 /// Step for the derivative by position, metres.
@@ -540,7 +542,8 @@ fn moved(
         *d += step(i);
     }
     for (k, b) in next.ballast.iter_mut().enumerate() {
-        *b += step(m + k).clamp(-0.7, 0.7);
+        let most = BALLAST_STRIDE[k];
+        *b += step(m + k).clamp(-most, most);
     }
     for (i, own) in subset.iter().zip(&solution.own_m) {
         next.shift_m[*i] += step(m + 3) + scale * own;

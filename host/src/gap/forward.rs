@@ -10,7 +10,7 @@ use crate::passage::contact::ContactLaw;
 use crate::passage::surface::GRID_M;
 use crate::passage::{
     Bogie, Journey, Profile, RunningSurface, SLEEPER_MODES, SimulationError, Start, Stepper, Support,
-    SupportLaw, TimeStep, TrackModel, Train, VehicleUnit, Wheel, run,
+    SupportLaw, TimeStep, TrackModel, Train, VehicleUnit, Wheel, WheelFlat, run,
 };
 use crate::signal::{AntiAlias, irfft, rfft, rfft_frequencies_hz, taper};
 use crate::track::{Mesh, Side, Track};
@@ -84,6 +84,16 @@ impl Simulator {
         }
         let antialias = self.antialias.clone();
         Ok(Self { stepper: self.stepper.clone(), train, surface, antialias, ..*self })
+    }
+
+    /// The same with a flat on both wheels of the front (0) or rear (1) wheelset.
+    pub fn with_flat(&self, axle: usize, flat: WheelFlat) -> Self {
+        let mut train = self.train.clone();
+        for wheel in &mut train.wheels[2 * axle..2 * axle + 2] {
+            wheel.flat = Some(flat);
+        }
+        let (stepper, surface) = (self.stepper.clone(), self.surface.clone());
+        Self { stepper, train, surface, antialias: self.antialias.clone(), ..*self }
     }
 
     /// Acceleration at the sensor while one bogie passes at `speed_m_s` by the recorder's clock.

@@ -25,6 +25,10 @@ pub struct Scene<'a> {
     pub responses: &'a [BogieResponses],
     /// Whitened views of every passage's wheelsets.
     pub wheels: Vec<[WheelView; 2]>,
+    /// Shapes of the natural variation, per passage.
+    pub shapes: &'a [Shapes],
+    /// Sizes of the natural variation.
+    pub variation: Variation,
     /// Passages to learn from.
     pub train: &'a [usize],
     /// Residual of the whole recording, per passage.
@@ -77,7 +81,7 @@ impl<'a> Scene<'a> {
         world: &'a World,
         observed: &'a [Observed],
         responses: &'a [BogieResponses],
-        shapes: &[Shapes],
+        shapes: &'a [Shapes],
         variation: &Variation,
         bogies: &[Response],
         late_s: &[f64],
@@ -121,7 +125,7 @@ impl<'a> Scene<'a> {
                 Trace { start_s, residual }
             })
             .collect();
-        Self { world, observed, residuals, responses, wheels, train, traces }
+        Self { world, observed, residuals, responses, wheels, shapes, variation: *variation, train, traces }
     }
 
     /// Values of a function of travelled distance at the knots of the path: along the crossing rail, and on the stock rail

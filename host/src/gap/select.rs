@@ -48,14 +48,7 @@ pub fn round<'e>(
         let fit = if passes {
             let mut list: Vec<&dyn Effect> = accepted.to_vec();
             list.push(effect);
-            let coordinates = effect.starts(hints)[start].clone();
-            starts(state, effect)
-                .into_iter()
-                .filter_map(|mut from| {
-                    from.effects.push(coordinates.clone());
-                    fit(frame, &list, from, subset, FitOptions::default()).ok()
-                })
-                .max_by(|a, b| a.log_evidence.total_cmp(&b.log_evidence))
+            candidate(frame, &list, state, &effect.starts(hints), start, subset)
         } else {
             None
         };
@@ -64,13 +57,49 @@ pub fn round<'e>(
     Ok((tried, screening))
 }
 
-/// States from which the fit of an effect starts. An effect that does not begin smoothly may have driven the ballast of
-/// the base model far away; its fit also starts from nominal ballast and the scan.
-fn starts(state: &State, effect: &dyn Effect) -> Vec<State> {
-    let mut all = vec![state.clone()];
+/// Fit of the accepted effects and one more, the last of `list`.
+fn candidate(
+    frame: &Frame,
+    list: &[&dyn Effect],
+    state: &State,
+    all_starts: &[Vec<f64>],
+    start: usize,
+    subset: &[usize],
+) -> Option<Fit> {
+    let effect = *list.last()?;
+    let with = |state: &State, coordinates: &Vec<f64>| {
+        let mut from = state.clone();
+        from.effects.push(coordinates.clone());
+        from
+    };
+    if effect.nought().is_some() {
+        return fit(frame, list, with(state, &all_starts[start]), subset, SMOOTH).ok();
+    }
+    let few: Vec<usize> =
+        subset.iter().copied().step_by(subset.len().div_ceil(SCOUTED).max(1)).collect();
+    let scouts: Vec<State> =
+        states(state).iter().flat_map(|s| all_starts.iter().map(|c| with(s, c)).collect::<Vec<_>>()).collect();
+    let best = scouts
+        .into_iter()
+        .filter_map(|s| fit(frame, list, s, &few, SCOUT).ok())
+        .max_by(|a, b| a.log_evidence.total_cmp(&b.log_evidence))?;
+    fit(frame, list, best.state, subset, THOROUGH).ok()
+}
+
+/// Near the base model the first derivatives hold; what is accepted is fitted again.
+const SMOOTH: FitOptions = FitOptions { steps: 8, renew: 3, tolerance: 0.5 };
+/// An effect that does not begin smoothly is looked for from all its starts in a few passages first.
+const SCOUT: FitOptions = FitOptions { steps: 5, renew: 5, tolerance: 3.0 };
+const SCOUTED: usize = 3;
+/// It may then be far from its optimum.
+const THOROUGH: FitOptions = FitOptions { steps: 16, renew: 14, tolerance: 0.5 };
+
+/// States from which the fit of an effect that does not begin smoothly starts: the base model's, which such an effect may
+/// have driven far away, and nominal ballast with the scan.
+fn states(state: &State) -> Vec<State> {
     let nominal = super::base::NOMINAL;
-    let far = (state.ballast[0] - nominal.p1_n_m2.ln()).abs() > FAR;
-    if effect.nought().is_none() && far {
+    let mut all = vec![state.clone()];
+    if (state.ballast[0] - nominal.p1_n_m2.ln()).abs() > FAR {
         let mut fresh = state.clone();
         fresh.ballast = [nominal.p1_n_m2.ln(), nominal.p2_n_m2.ln(), nominal.p3];
         fresh.deviation_m.fill(0.0);

@@ -33,6 +33,11 @@ impl PathSplines {
         of(0, Side::Crossing).chain(of(1, Side::Stock)).collect()
     }
 
+    /// Distance of neighbouring knots on a rail, metres.
+    pub fn step_m(&self, side: Side) -> f64 {
+        self.step_m[usize::from(side == Side::Stock)]
+    }
+
     /// Number of coefficients.
     pub fn len(&self) -> usize {
         self.coefficient_m.len()

@@ -7,6 +7,7 @@ use serde_json::Value;
 
 use super::GapError;
 use super::effects::{COMMON, LATENT};
+use super::forward::BAND_HZ;
 use crate::passage::random::Random;
 use crate::progress::Silent;
 use crate::recording::files::write_atomic;
@@ -63,6 +64,11 @@ pub enum TrialError {
     Gap(#[from] GapError),
 }
 
+/// Passages of a trial's site.
+const PASSAGES: usize = 16;
+/// Passages also simulated without the effect.
+const STRENGTH_PASSAGES: usize = 3;
+
 const NOMINAL: &str = include_str!("trial_site.toml");
 
 /// Effects that trials draw; those without a detector in the catalogue are drawn as unknown ones.
@@ -112,11 +118,14 @@ pub fn draw(seed: u64, index: u64, work: &Path) -> Result<Trial, TrialError> {
             names.push(name);
         }
     }
-    let plain = simulate(&scenario, &Silent)?;
+    // A few passages tell how strong an effect is.
+    let mut few = scenario.clone();
+    few.simulation.passages = STRENGTH_PASSAGES;
+    let plain = if names.is_empty() { None } else { Some(simulate(&few, &Silent)?) };
     let parameters =
         names.iter().map(|n| (*n, put(&mut scenario.simulation.effects, n, &mut random))).collect();
-    let changed = if names.is_empty() { plain.clone() } else { simulate(&scenario, &Silent)? };
-    let strength = strength(&plain.site, &changed.site);
+    let changed = simulate(&scenario, &Silent)?;
+    let strength = plain.map_or(0.0, |p| strength(&p.site, &changed.site));
     let known =
         |name: &str| COMMON.iter().any(|e| e.name() == name) || LATENT.iter().any(|e| e.name() == name);
     let unknown = names.len() == 1 && !known(names[0]);
@@ -142,7 +151,7 @@ fn scenario(random: &mut Random, work: &Path) -> Result<Scenario, TrialError> {
         s.crossing.traffic_direction = TrafficDirection::Trailing;
     }
     let sim = &mut s.simulation;
-    sim.passages = 24;
+    sim.passages = PASSAGES;
     sim.speed_m_s = random.between(34.0, 52.0);
     sim.operator_speed_error = Some(0.006);
     sim.ballast.p1_n_m2 = random.between(22e6, 38e6);
@@ -277,14 +286,16 @@ fn put(effects: &mut Effects, name: &str, random: &mut Random) -> f64 {
     }
 }
 
-/// RMS of the change over RMS of the signal.
+/// RMS of the change over RMS of the signal, in the band of the comparison.
 fn strength(plain: &Site, changed: &Site) -> f64 {
     let (mut change, mut signal) = (0.0, 0.0);
     for (a, b) in plain.passages.iter().zip(&changed.passages) {
-        for (x, y) in a.acceleration_m_s2.iter().zip(&b.acceleration_m_s2) {
-            change += f64::from(x - y).powi(2);
-            signal += f64::from(*x).powi(2);
-        }
+        let band = |v: &[f64]| crate::signal::brick_band(v, a.sample_rate_hz, 1.0, BAND_HZ[0]);
+        let x: Vec<f64> = a.acceleration_m_s2.iter().map(|v| f64::from(*v)).collect();
+        let difference: Vec<f64> =
+            x.iter().zip(&b.acceleration_m_s2).map(|(x, y)| x - f64::from(*y)).collect();
+        change += band(&difference).iter().map(|v| v * v).sum::<f64>();
+        signal += band(&x).iter().map(|v| v * v).sum::<f64>();
     }
     (change / f64::max(signal, f64::MIN_POSITIVE)).sqrt()
 }
@@ -336,15 +347,10 @@ pub fn score(answer: Answer, diagnosis: &Value) -> Score {
         }
     };
     let covered = effects.first().and_then(|e| {
-        let (_, value) = answer.parameters.iter().find(|(n, _)| *n == text(&e["name"]))?;
-        let ends: Vec<(f64, f64)> = e["parameters"]
-            .as_object()?
-            .iter()
-            .filter(|(n, _)| *n != "order" && *n != "frequency_hz" || text(&e["name"]) == "mount-resonance")
-            .filter_map(|(_, p)| Some((p["lower"].as_f64()?, p["upper"].as_f64()?)))
-            .collect();
-        // The main parameter is among the first; effects with one for each side hold it in either.
-        Some(ends.iter().any(|(l, u)| l <= value && value <= u))
+        let name = text(&e["name"]);
+        let (_, value) = answer.parameters.iter().find(|(n, _)| *n == name)?;
+        let p = &e["parameters"][main_parameter(&name)];
+        Some(p["lower"].as_f64()? <= *value && *value <= p["upper"].as_f64()?)
     });
     let floor = diagnosis["gap"]["noise_floor"].as_f64().unwrap_or(f64::NAN);
     Score {
@@ -357,6 +363,29 @@ pub fn score(answer: Answer, diagnosis: &Value) -> Score {
         first_group,
         right,
         covered,
+    }
+}
+
+/// The parameter of an effect that a trial draws.
+fn main_parameter(name: &str) -> &'static str {
+    match name {
+        "voided-sleepers" => "gap_m",
+        "ballast-stiffening" => "doubling_m",
+        "ballast-mass" => "mass_kg_m",
+        "crossing-rail" => "stiffness_factor",
+        "load-transfer" => "fraction",
+        "front-rear" => "depth_difference",
+        "stock-irregularity" => "depth_m",
+        "gain-temperature" => "per_kelvin",
+        "saturation" => "range_m_s2",
+        "clock-error" => "relative",
+        "mount-resonance" => "frequency_hz",
+        "wheel-out-of-roundness" => "amplitude_m",
+        "wheel-flat" => "length_m",
+        "hollow-wheels" => "depth_factor",
+        "tonal" => "amplitude_m_s2",
+        "bias-step" => "step_m_s2",
+        _ => "factor",
     }
 }
 

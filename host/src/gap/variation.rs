@@ -82,13 +82,7 @@ impl Shapes {
         let len = responses.profile[0].nrows();
         let mut parts: Vec<Mat<f64>> = (0..PARTS - 1).map(|_| Mat::zeros(len, len)).collect();
         let knots = grids.knots();
-        let pick = |side: Side, f: &dyn Fn(f64) -> f64| {
-            Mat::from_fn(knots.len(), 1, |i, _| if knots[i].0 == side { f(knots[i].1) } else { 0.0 })
-        };
-        let depth = pick(Side::Crossing, &|x| path.at(Side::Crossing, x));
-        let slope = pick(Side::Crossing, &|x| {
-            (path.at(Side::Crossing, x + SLOPE_M) - path.at(Side::Crossing, x - SLOPE_M)) / (2.0 * SLOPE_M)
-        });
+        let [depth, slope] = path_shapes(path).map(|c| Mat::from_fn(c.len(), 1, |i, _| c[i]));
         for axle in 0..2 {
             let a = &responses.profile[axle];
             let [c, s] = &responses.load[axle];
@@ -143,6 +137,19 @@ impl Shapes {
         let log_det: f64 = (0..self.len).map(|i| l[(i, i)].ln()).sum();
         -0.5 * quadratic - (windows - 1) as f64 * log_det
     }
+}
+
+/// Depth and slope of the path on the crossing side at the knots of its splines.
+pub fn path_shapes(path: &Path) -> [Vec<f64>; 2] {
+    let knots = path.deviation.knots();
+    let pick = |f: &dyn Fn(f64) -> f64| -> Vec<f64> {
+        knots.iter().map(|(side, x)| if *side == Side::Crossing { f(*x) } else { 0.0 }).collect()
+    };
+    let depth = pick(&|x| path.at(Side::Crossing, x));
+    let slope = pick(&|x| {
+        (path.at(Side::Crossing, x + SLOPE_M) - path.at(Side::Crossing, x - SLOPE_M)) / (2.0 * SLOPE_M)
+    });
+    [depth, slope]
 }
 
 fn add_outer(target: &mut Mat<f64>, column: &Mat<f64>) {

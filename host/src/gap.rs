@@ -2,6 +2,8 @@
 
 pub mod base;
 pub mod comb;
+pub mod consequences;
+pub mod corrected;
 pub mod data;
 pub mod diagnosis;
 pub mod effect;

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use anyhow::Context;
 use clap::Args;
 
-use super::output::{print, warn_skipped};
+use super::output::{print, warn_skipped, with_effects};
 use super::progress::Bar;
 use crate::analysis::{Analysis, Condition};
 use crate::pipeline::{self, AnalyseOptions};
@@ -24,6 +24,9 @@ pub(super) struct AnalyseArgs {
     /// Directory for the results; created when missing
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
+    /// Include the effects of a diagnosis.json
+    #[arg(long, value_name = "FILE")]
+    with_effects: Option<PathBuf>,
     /// Print the summary as JSON (the content of indicators.json)
     #[arg(long)]
     json: bool,
@@ -34,6 +37,7 @@ impl AnalyseArgs {
         let site =
             read_site(&self.site).with_context(|| format!("cannot read site {}", self.site.display()))?;
         warn_skipped(&site.skipped);
+        let site = with_effects(site, self.with_effects.as_deref())?;
         let analysis = pipeline::analyse(&site, &AnalyseOptions::default(), &Bar::new())
             .with_context(|| format!("cannot analyse site {}", self.site.display()))?;
         write_results(&self.out, &analysis)

@@ -7,6 +7,7 @@ use clap::Args;
 
 use super::output::{print, print_json, warn_skipped};
 use super::progress::Bar;
+use crate::gap::consequences::{ConsequenceError, consequences};
 use crate::gap::diagnosis::{DiagnoseOptions, Diagnosis, diagnose};
 use crate::gap::results::{diagnosis_json, write_diagnosis};
 use crate::recording::read_site;
@@ -31,6 +32,10 @@ pub(super) struct DiagnoseArgs {
     /// Leave an effect out of the catalogue; may be given more than once
     #[arg(long = "exclude", value_name = "EFFECT")]
     exclude: Vec<String>,
+    /// Also analyse the site without and with the effects found, and say what they change in force peaks, irregularity and
+    /// ballast
+    #[arg(long)]
+    consequences: bool,
     /// Print diagnosis.json
     #[arg(long)]
     json: bool,
@@ -42,8 +47,15 @@ impl DiagnoseArgs {
             read_site(&self.site).with_context(|| format!("cannot read site {}", self.site.display()))?;
         warn_skipped(&site.skipped);
         let options = DiagnoseOptions { quick: self.quick, exclude: self.exclude };
-        let found = diagnose(&site, &options, &Bar::new())
+        let mut found = diagnose(&site, &options, &Bar::new())
             .with_context(|| format!("cannot diagnose site {}", self.site.display()))?;
+        if self.consequences && !found.effects.is_empty() {
+            match consequences(&site, &found, &Bar::new()) {
+                Ok(c) => found.consequences = Some(c),
+                Err(ConsequenceError::Correction(e)) => found.remarks.push(format!("consequences: {e}")),
+                Err(e) => return Err(e).context("cannot analyse the site with the effects found"),
+            }
+        }
         write_diagnosis(&self.out, &site.crossing.name, &found)
             .with_context(|| format!("cannot write results to {}", self.out.display()))?;
         if self.json {

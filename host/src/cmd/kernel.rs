@@ -6,7 +6,7 @@ use anyhow::Context;
 use clap::Args;
 use serde_json::json;
 
-use super::output::{print, print_json, warn_skipped};
+use super::output::{print, print_json, warn_skipped, with_effects};
 use super::progress::Bar;
 use crate::pipeline::{self, AnalyseOptions};
 use crate::recording::files::write_atomic;
@@ -21,6 +21,9 @@ pub(super) struct KernelArgs {
     /// File for the package
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
+    /// Include the effects of a diagnosis.json
+    #[arg(long, value_name = "FILE")]
+    with_effects: Option<PathBuf>,
     /// Print a summary as JSON
     #[arg(long)]
     json: bool,
@@ -31,6 +34,7 @@ impl KernelArgs {
         let site =
             read_site(&self.site).with_context(|| format!("cannot read site {}", self.site.display()))?;
         warn_skipped(&site.skipped);
+        let site = with_effects(site, self.with_effects.as_deref())?;
         let package = pipeline::kernel(&site, &AnalyseOptions::default(), &Bar::new())
             .with_context(|| format!("cannot make a kernel for site {}", self.site.display()))?;
         write_atomic(&self.out, &package).context("cannot write the kernel package")?;

@@ -1,8 +1,12 @@
 //! What the subcommands print.
 
 use std::io::{ErrorKind, Write};
+use std::path::Path;
 
-use crate::recording::Skipped;
+use anyhow::Context;
+
+use crate::gap::corrected::{corrected, read_effects};
+use crate::recording::{Site, Skipped};
 
 /// Prints to standard output. A reader that has gone away (`cpcm … | head`) is no failure.
 pub(super) fn print(text: &str) -> anyhow::Result<()> {
@@ -16,6 +20,13 @@ pub(super) fn print(text: &str) -> anyhow::Result<()> {
 /// Prints a value as JSON.
 pub(super) fn print_json(value: &serde_json::Value) -> anyhow::Result<()> {
     print(&format!("{value:#}\n"))
+}
+
+/// The site with the effects of a `diagnosis.json` taken into account, where one is given.
+pub(super) fn with_effects(site: Site, file: Option<&Path>) -> anyhow::Result<Site> {
+    let Some(file) = file else { return Ok(site) };
+    let effects = read_effects(file).context("cannot read the effects to include")?;
+    corrected(&site, &effects).context("cannot include the effects of the diagnosis")
 }
 
 /// Lists the passages that were left out, on standard error.

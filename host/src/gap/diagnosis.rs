@@ -38,6 +38,8 @@ pub struct Named {
     pub parameters: Vec<(&'static str, f64, f64, f64)>,
     /// Effects that the recordings cannot tell from it.
     pub indistinguishable_from: Vec<&'static str>,
+    /// What it took off the residual of the training passages, RMS relative to the wheels' scatter.
+    pub gained: f64,
 }
 
 /// An effect that was tried.
@@ -82,6 +84,8 @@ pub struct Diagnosis {
     pub residuals: Vec<Residual>,
     /// Passages left out by the reader.
     pub skipped: usize,
+    /// What including the effects changes in the results, where it was asked for.
+    pub consequences: Option<super::consequences::Consequences>,
     /// Time taken, s; not part of any result file.
     pub seconds: f64,
 }
@@ -120,6 +124,9 @@ const LEAST_SHARE: f64 = 0.03;
 const LEAST_EXCESS: f64 = 0.15;
 /// Energy of an effect of single wheels or recordings relative to their scatter.
 const LATENT_SHARE: f64 = 0.1;
+/// What an effect must take off the residual, RMS relative to the wheels' scatter: the first one named, and further ones,
+/// which may only mend the description of the first.
+const LEAST_GAINED: (f64, f64) = (0.15, 0.3);
 /// Candidates within this of the best are not told apart.
 const SAME_GAIN: f64 = 4.0;
 /// Standard deviation of the path around the scan and of the stock rail, metres: as the reference recordings have it.
@@ -197,6 +204,14 @@ struct Session<'a> {
     scatter: (f64, f64),
 }
 
+/// A model before the last effect.
+struct Confirmed {
+    squares: f64,
+    named: usize,
+    accepted: usize,
+    fit: Option<Fit>,
+}
+
 /// One candidate of a round.
 struct Candidate {
     name: &'static str,
@@ -246,6 +261,7 @@ impl<'a> Session<'a> {
             probability: 0.99,
             parameters,
             indistinguishable_from: Vec::new(),
+            gained: f64::NAN,
         });
         self.ranking.push(Ranked {
             name,
@@ -314,7 +330,13 @@ impl<'a> Session<'a> {
     fn search(&mut self, progress: &dyn Progress) -> Result<(), GapError> {
         for number in self.named.len()..MOST_EFFECTS {
             progress.begin(&format!("effects, round {}", number + 1), 2);
-            if !self.one_round(number, progress)? {
+            let earlier = Confirmed {
+                squares: self.current_squares()?.0,
+                named: self.named.len(),
+                accepted: self.accepted.len(),
+                fit: self.fit.clone(),
+            };
+            if !self.one_round(number, progress)? || !self.confirm(&earlier)? {
                 break;
             }
         }
@@ -496,6 +518,7 @@ impl<'a> Session<'a> {
             probability,
             parameters: Vec::new(),
             indistinguishable_from: same,
+            gained: f64::NAN,
         };
         if let Some(t) = tried.into_iter().find(|t| t.effect.name() == name) {
             self.accepted.push(t.effect);
@@ -510,6 +533,48 @@ impl<'a> Session<'a> {
         }
         self.named.push(named);
         Ok(())
+    }
+
+    /// Squares of the residual of the training passages, and of the wheels' scatter, with the current model.
+    fn current_squares(&self) -> Result<(f64, f64), GapError> {
+        let state = self.state();
+        let frame = &self.base.frame;
+        let world = state.world(frame, &self.accepted);
+        let train = &self.split.train;
+        let responses = simulate(&world, frame, train)?;
+        let (mut all, mut own) = (0.0, 0.0);
+        for (i, r) in train.iter().zip(&responses) {
+            let o = &frame.observed[*i];
+            let gain = world.sensor.gain_at(o.temperature_c);
+            let late = o.lag(r, gain, ALIGN_M / o.speed_m_s);
+            let windows = o.window_residuals(r, gain, late);
+            let k = windows.len() as f64;
+            let sum: f64 = windows.iter().flatten().map(|v| v * v).sum();
+            let mean: f64 = super::data::mean_of(&windows).iter().map(|v| v * v).sum();
+            all += sum;
+            own += (sum - k * mean) * k / (k - 1.0).max(1.0);
+        }
+        Ok((all, own))
+    }
+
+    /// Whether the effect accepted last takes enough off the residual; if not, it is taken back.
+    fn confirm(&mut self, earlier: &Confirmed) -> Result<bool, GapError> {
+        let (all, own) = self.current_squares()?;
+        let Some(last) = self.named.last_mut() else { return Ok(true) };
+        last.gained = ((earlier.squares - all).max(0.0) / own.max(f64::MIN_POSITIVE)).sqrt();
+        // The operator's speeds speak for a wrong clock, not the residual; effects of single wheels have their own rule.
+        let least = if earlier.named == 0 { LEAST_GAINED.0 } else { LEAST_GAINED.1 };
+        if last.gained >= least || last.stage == Stage::Timing || self.accepted.len() == earlier.accepted {
+            return Ok(true);
+        }
+        let name = last.name;
+        self.named.pop();
+        self.accepted.pop();
+        self.fit.clone_from(&earlier.fit);
+        for r in self.ranking.iter_mut().filter(|r| r.name == name) {
+            r.probability = r.probability.min(0.5 * (1.0 - r.probability).max(0.1));
+        }
+        Ok(false)
     }
 
     /// Once wheels are known to differ by an effect, their natural variation is what remains.
@@ -593,6 +658,7 @@ impl<'a> Session<'a> {
             remarks: self.remarks,
             residuals,
             skipped: 0,
+            consequences: None,
             seconds: 0.0,
         })
     }

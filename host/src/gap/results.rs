@@ -56,7 +56,7 @@ pub fn diagnosis_json(d: &Diagnosis) -> Value {
                 .map(|(n, v, l, u)| ((*n).to_string(), json!({"value": v, "lower": l, "upper": u})))
                 .collect();
             json!({"name": e.name, "probability": e.probability, "parameters": parameters,
-                   "indistinguishable_from": e.indistinguishable_from})
+                   "indistinguishable_from": e.indistinguishable_from, "gained": finite(e.gained)})
         })
         .collect();
     let ranking: Vec<Value> = d
@@ -66,7 +66,7 @@ pub fn diagnosis_json(d: &Diagnosis) -> Value {
         .collect();
     let cosines: Vec<Value> =
         d.cosines.iter().map(|(a, b, c)| json!({"a": a, "b": b, "cosine": finite(*c)})).collect();
-    json!({
+    let mut out = json!({
         "verdict": d.verdict,
         "gap": {"before": d.gap.before, "after": d.gap.after, "noise_floor": d.gap.noise_floor,
                 "closed_fraction": d.gap.closed_fraction, "closed_fraction_ci90": d.gap.closed_fraction_ci90},
@@ -76,7 +76,11 @@ pub fn diagnosis_json(d: &Diagnosis) -> Value {
         "held_out_passages": d.predictions.iter().map(|p| p.passage_id).collect::<Vec<_>>(),
         "identifiability": cosines,
         "remarks": d.remarks,
-    })
+    });
+    if let Some(c) = &d.consequences {
+        out["consequences"] = json!(c);
+    }
+    out
 }
 
 fn finite(value: f64) -> Option<f64> {

@@ -3,6 +3,7 @@
 use super::ReportError;
 use super::page::{self, Figure, Key, escape};
 use super::plot::{Axis, BLUE, GREEN, GREY, Layer, ORANGE, Plot, Point, RED, range_of};
+use crate::gap::consequences::Change;
 use crate::gap::diagnosis::{Diagnosis, Residual};
 use crate::gap::measure::Prediction;
 use crate::gap::verdict::Verdict;
@@ -12,6 +13,7 @@ use crate::signal::rms;
 pub fn html(site: &str, d: &Diagnosis) -> Result<String, ReportError> {
     let mut body = headline(site, d);
     body.push_str(&effects(d));
+    body.push_str(&consequences(d));
     body.push_str(&remarks(d));
     body.push_str(&bands(d));
     let mut figures = vec![residual_map(d)?, covariate(d, "speed")?, covariate(d, "temperature")?];
@@ -95,6 +97,22 @@ fn effects(d: &Diagnosis) -> String {
         "<h2>Which</h2>\n{}",
         table(&["effect", "probability", "parameters (90 %)", "cannot be told from"], &rows)
     )
+}
+
+fn consequences(d: &Diagnosis) -> String {
+    let Some(c) = &d.consequences else { return String::new() };
+    let row = |name: &str, change: &Change, scale: f64| {
+        let moved = 100.0 * (change.with / change.without - 1.0);
+        let value = |v: f64| format!("{:.1}", scale * v);
+        vec![name.into(), value(change.without), value(change.with), format!("{moved:+.1} %")]
+    };
+    let rows = [
+        row("force peak, kN", &c.peak_force_n, 1e-3),
+        row("irregularity, \u{b5}m RMS", &c.irregularity_rms_m, 1e6),
+        row("ballast outside, MN/m\u{b2}", &c.ballast_p1_n_m2, 1e-6),
+        row("ballast under the crossing, MN/m\u{b2}", &c.ballast_p2_n_m2, 1e-6),
+    ];
+    format!("<h2>What it changes</h2>\n{}", table(&["result", "without", "with the effects", "change"], &rows))
 }
 
 fn remarks(d: &Diagnosis) -> String {

@@ -26,6 +26,9 @@ const AREAS: (f64, f64, usize) = (0.5e-6, 1.15, 48);
 const CHOICE: f64 = 6.0;
 /// A wheel that only differs more than usual does so over lengths like this, metres.
 const BROAD_M: f64 = 0.5;
+/// Through the crossing, every wheel's own path makes bursts too, beyond what is linear in its depth and shift. A flat that
+/// meets the rail there says nothing: metres from x = 0 on either side of the middle of the transition.
+const CROSSING_M: (f64, f64) = (0.3, 0.75);
 /// Lengths simulated, metres.
 const LENGTHS_M: [f64; 7] = [0.02, 0.03, 0.04, 0.05, 0.065, 0.08, 0.1];
 /// The linear response and the shape of the flat let the length not be known better than this, relative.
@@ -43,6 +46,14 @@ impl Shown {
         let at = |i: usize| area * self.b[i] - 0.5 * area * area * self.g[i];
         let top = (0..self.b.len()).map(at).fold(f64::NEG_INFINITY, f64::max);
         top + ((0..self.b.len()).map(|i| (at(i) - top).exp()).sum::<f64>() / self.b.len() as f64).ln()
+    }
+
+    /// The same without what some places say.
+    fn without(mut self, mute: &[bool]) -> Self {
+        for (place, _) in mute.iter().enumerate().filter(|(_, m)| **m) {
+            (self.b[place], self.g[place]) = (0.0, 0.0);
+        }
+        self
     }
 
     /// Probability of every place.
@@ -66,10 +77,14 @@ impl Latent for WheelFlat {
 
     fn explore(&self, scene: &Scene) -> Option<LatentFit> {
         let paths = paths(scene, 0.0);
-        let sharp: Vec<Shown> = scene.train.iter().flat_map(|i| shown(scene, *i, &paths)).collect();
+        let mute = inside_crossing(scene);
+        let learnt = |paths: &[Vec<f64>]| -> Vec<Shown> {
+            let all: Vec<Vec<Shown>> = scene.train.par_iter().map(|i| shown(scene, *i, paths)).collect();
+            all.into_iter().flatten().map(|s| s.without(&mute)).collect()
+        };
+        let sharp = learnt(&paths);
         let (score, area, share) = best(&sharp)?;
-        let broad_paths = self::paths(scene, BROAD_M);
-        let broad: Vec<Shown> = scene.train.iter().flat_map(|i| shown(scene, *i, &broad_paths)).collect();
+        let broad = learnt(&self::paths(scene, BROAD_M));
         let net = score - best(&broad).map_or(0.0, |b| b.0.max(0.0)) - CHOICE;
         if net <= 0.0 {
             return None;
@@ -113,6 +128,19 @@ fn best(shown: &[Shown]) -> Option<(f64, f64, f64)> {
             (score, a, share)
         })
         .max_by(|a, b| a.0.total_cmp(&b.0))
+}
+
+/// Places around the wheel at which a flat meets the rail inside the crossing.
+fn inside_crossing(scene: &Scene) -> Vec<bool> {
+    let turn_m = std::f64::consts::TAU * scene.world.crossing.vehicle.wheel_radius_m;
+    let middle = scene.world.crossing.traffic_direction.sign() * CROSSING_M.0;
+    (0..PLACES)
+        .map(|p| {
+            let at = p as f64 / PLACES as f64 * turn_m;
+            let from = (at - middle + 0.5 * turn_m).rem_euclid(turn_m) - 0.5 * turn_m;
+            from.abs() < CROSSING_M.1
+        })
+        .collect()
 }
 
 /// Coefficients of the path of a flat of unit area at every place, or of a bump `broad_m` long instead.

@@ -1,0 +1,313 @@
+//! A site with the effects of a diagnosis taken into account: what the identification then starts from.
+//!
+//! Corrections go into the inputs: description (pads, rail, masses, loads) and recordings (sensitivity, clock, mounting,
+//! interference, clipping). The identification itself stays as it is: linear, symmetric in load, with the three-parameter
+//! ballast. An effect that does not fit in there is refused; leaving it out silently would promise a correction that is none.
+
+use std::path::Path;
+
+use serde_json::Value;
+
+use super::world::REFERENCE_C;
+use crate::recording::files::read_bytes;
+use crate::recording::{Passage, RecordingError, Site};
+use crate::signal::{irfft, resample, rfft, rfft_frequencies_hz};
+
+/// Why a site cannot be corrected.
+#[derive(Debug, thiserror::Error)]
+pub enum CorrectionError {
+    /// No file.
+    #[error(transparent)]
+    File(#[from] RecordingError),
+    /// The file is not a diagnosis.
+    #[error("{file}: not a diagnosis.json: {what}; make it with `cpcm diagnose SITE --out DIR`")]
+    Format {
+        /// Which file.
+        file: String,
+        /// What is wrong.
+        what: String,
+    },
+    /// The identification has no place for an effect.
+    #[error("effect {effect} cannot be included in the identification: {why}")]
+    NotApplicable {
+        /// Name in the contract.
+        effect: String,
+        /// Reason.
+        why: &'static str,
+    },
+    /// An effect without its strength, or with one outside physics.
+    #[error("effect {effect}: {parameter} is {value}, expected {low} … {high}")]
+    Parameter {
+        /// Name in the contract.
+        effect: String,
+        /// Name of the parameter.
+        parameter: &'static str,
+        /// As read; NaN where it is missing.
+        value: f64,
+        /// Ends of the range.
+        low: f64,
+        /// Ends of the range.
+        high: f64,
+    },
+}
+
+/// An effect with the values of its parameters, as in `diagnosis.json`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Included {
+    /// Name in the contract.
+    pub name: String,
+    /// Name and value, SI units.
+    pub parameters: Vec<(String, f64)>,
+}
+
+impl Included {
+    fn value(&self, parameter: &'static str, [low, high]: [f64; 2]) -> Result<f64, CorrectionError> {
+        let value = self.parameters.iter().find(|(n, _)| n == parameter).map_or(f64::NAN, |p| p.1);
+        if value >= low && value <= high {
+            return Ok(value);
+        }
+        Err(CorrectionError::Parameter { effect: self.name.clone(), parameter, value, low, high })
+    }
+
+    fn refused(&self, why: &'static str) -> CorrectionError {
+        CorrectionError::NotApplicable { effect: self.name.clone(), why }
+    }
+}
+
+/// Effects named in a `diagnosis.json`.
+pub fn read_effects(file: &Path) -> Result<Vec<Included>, CorrectionError> {
+    let wrong = |what: String| CorrectionError::Format { file: file.display().to_string(), what };
+    let json: Value = serde_json::from_slice(&read_bytes(file)?).map_err(|e| wrong(e.to_string()))?;
+    let effects = json["effects"].as_array().ok_or_else(|| wrong("no list `effects`".into()))?;
+    effects
+        .iter()
+        .map(|e| {
+            let name = e["name"].as_str().ok_or_else(|| wrong("an effect has no name".into()))?;
+            let parameters = e["parameters"].as_object().into_iter().flatten();
+            Ok(Included {
+                name: name.into(),
+                parameters: parameters
+                    .map(|(n, p)| (n.clone(), p["value"].as_f64().unwrap_or(f64::NAN)))
+                    .collect(),
+            })
+        })
+        .collect()
+}
+
+/// The site with all `effects` in it.
+pub fn corrected(site: &Site, effects: &[Included]) -> Result<Site, CorrectionError> {
+    let mut out = site.clone();
+    for effect in effects {
+        include(&mut out, effect)?;
+    }
+    Ok(out)
+}
+
+/// A factor on a stiffness, mass or load.
+const FACTOR: [f64; 2] = [0.05, 20.0];
+
+fn include(site: &mut Site, effect: &Included) -> Result<(), CorrectionError> {
+    let crossing = &mut site.crossing;
+    match effect.name.as_str() {
+        "pad-stiffness" => crossing.pad.stiffness_n_m *= effect.value("factor", FACTOR)?,
+        "crossing-rail" => {
+            crossing.rail.crossing_part_stiffness_factor *= effect.value("stiffness_factor", FACTOR)?;
+            crossing.rail.crossing_part_mass_factor *= effect.value("mass_factor", FACTOR)?;
+        }
+        "axle-load" => {
+            let factor = effect.value("factor", FACTOR)?;
+            crossing.vehicle.axle_load_kg *= factor;
+            site.passages.iter_mut().for_each(|p| p.axle_load_kg *= factor);
+        }
+        "unsprung-mass" => {
+            let factor = effect.value("factor", FACTOR)?;
+            crossing.vehicle.wheelset_mass_kg *= factor;
+            crossing.vehicle.wheelset_roll_inertia_kg_m2 *= factor;
+        }
+        "ballast-mass" => {
+            // It moves with the sleeper and adds nothing to its stiffness.
+            let s = &mut crossing.sleeper;
+            s.density_kg_m3 += effect.value("mass_kg_m", [0.0, 2000.0])? / (s.width_m * s.height_m);
+        }
+        "gain-temperature" => {
+            let per_kelvin = effect.value("per_kelvin", [-0.02, 0.02])?;
+            for p in &mut site.passages {
+                let gain = 1.0 + per_kelvin * (p.temperature_c - REFERENCE_C);
+                p.acceleration_m_s2.iter_mut().for_each(|a| *a = (f64::from(*a) / gain) as f32);
+            }
+        }
+        "clock-error" => {
+            let relative = effect.value("relative", [-0.1, 0.1])?;
+            site.passages.iter_mut().for_each(|p| to_true_time(p, relative));
+        }
+        "mount-resonance" => {
+            let frequency_hz = effect.value("frequency_hz", [20.0, 5000.0])?;
+            let damping = effect.value("damping_ratio", [1e-3, 2.0])?;
+            site.passages.iter_mut().for_each(|p| without_mount(p, frequency_hz, damping));
+        }
+        "tonal" => {
+            let frequency_hz = effect.value("frequency_hz", [1.0, 2000.0])?;
+            site.passages.iter_mut().for_each(|p| without_tone(p, frequency_hz));
+        }
+        "saturation" => leave_out_clipped(site, effect.value("range_m_s2", [1.0, 1e4])?),
+        // The identification estimates every wheel's force and both rails' profiles anyway.
+        "front-rear" | "wheel-out-of-roundness" | "wheel-flat" | "hollow-wheels" | "stock-irregularity" => {}
+        "voided-sleepers" | "ballast-stiffening" => {
+            return Err(effect.refused("its ballast is linear; tamp, record again, and analyse then"));
+        }
+        "support-loss" => {
+            return Err(effect.refused("its ballast has three parameters, the same on both sides of the crossing"));
+        }
+        "load-transfer" => {
+            return Err(effect.refused("it assumes the same static force on both rails"));
+        }
+        "bias-step" => {
+            return Err(effect.refused("every shock has a step of its own size; mend the sensor's mounting"));
+        }
+        _ => return Err(effect.refused("it is not in the catalogue of this version")),
+    }
+    Ok(())
+}
+
+/// Samples were taken (1 + relative) times as fast as stated; the same recording at the stated rate.
+fn to_true_time(passage: &mut Passage, relative: f64) {
+    let samples: Vec<f64> = passage.acceleration_m_s2.iter().map(|a| f64::from(*a)).collect();
+    let len = (samples.len() as f64 / (1.0 + relative)).round().max(1.0) as usize;
+    passage.acceleration_m_s2 = resample(&samples, len).iter().map(|a| *a as f32).collect();
+}
+
+/// Takes the amplification by the mounting back; its inverse is bounded, so nothing blows up.
+fn without_mount(passage: &mut Passage, frequency_hz: f64, damping: f64) {
+    let n = passage.acceleration_m_s2.len();
+    let padded = (n + n / 4).next_multiple_of(2);
+    let mut samples: Vec<f64> = passage.acceleration_m_s2.iter().map(|a| f64::from(*a)).collect();
+    samples.resize(padded, 0.0);
+    let mut spectrum = rfft(&samples);
+    for (value, f) in spectrum.iter_mut().zip(rfft_frequencies_hz(padded, passage.sample_rate_hz)) {
+        // Far above the resonance the mounting isolates; what is there is left as it is.
+        let s = (f / frequency_hz).min(3.0);
+        let damped = faer::c64::new(0.0, 2.0 * damping * s);
+        *value *= (damped + (1.0 - s * s)) / (damped + 1.0);
+    }
+    let restored = irfft(&spectrum, padded);
+    passage.acceleration_m_s2 = restored[..n].iter().map(|a| *a as f32).collect();
+}
+
+/// Recordings begin and end at least this long before and after the train, s.
+const QUIET_S: f64 = 0.27;
+
+/// Takes the sinusoid off that fits the train-free ends best.
+fn without_tone(passage: &mut Passage, frequency_hz: f64) {
+    let (n, rate) = (passage.acceleration_m_s2.len(), passage.sample_rate_hz);
+    let quiet = ((QUIET_S * rate) as usize).min(n / 2);
+    let omega = std::f64::consts::TAU * frequency_hz / rate;
+    let ends = (0..quiet).chain(n - quiet..n);
+    let mean = ends.clone().map(|i| f64::from(passage.acceleration_m_s2[i])).sum::<f64>() / (2 * quiet).max(1) as f64;
+    let (mut c, mut s) = (0.0, 0.0);
+    for i in ends {
+        let (sin, cos) = (omega * i as f64).sin_cos();
+        let value = f64::from(passage.acceleration_m_s2[i]) - mean;
+        (c, s) = (c + value * cos / quiet as f64, s + value * sin / quiet as f64);
+    }
+    for (i, a) in passage.acceleration_m_s2.iter_mut().enumerate() {
+        let (sin, cos) = (omega * i as f64).sin_cos();
+        *a -= (c * cos + s * sin) as f32;
+    }
+}
+
+/// Passages that must stay for an identification.
+const LEAST_PASSAGES: usize = 3;
+/// Clipped samples that a recording may have: the corner of one wheel.
+const FEW_SAMPLES: usize = 4;
+
+/// Clipping cannot be undone: clipped recordings are left out while enough others stay, and marked otherwise.
+fn leave_out_clipped(site: &mut Site, range_m_s2: f64) {
+    let clipped = |p: &Passage| {
+        let at_end = |a: &&f32| f64::from(a.abs()) >= 0.97 * range_m_s2;
+        p.acceleration_m_s2.iter().filter(at_end).count() > FEW_SAMPLES
+    };
+    let sound = site.passages.iter().filter(|p| !clipped(p)).count();
+    site.crossing.sensor.range_m_s2 = site.crossing.sensor.range_m_s2.min(range_m_s2);
+    if sound >= LEAST_PASSAGES {
+        site.passages.retain(|p| !clipped(p));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::recording::read_site;
+
+    fn site() -> Site {
+        let dir = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/data/field/reference-1");
+        let mut site = read_site(&dir).unwrap();
+        site.passages.truncate(1);
+        site
+    }
+
+    fn effect(name: &str, parameters: &[(&str, f64)]) -> Included {
+        Included {
+            name: name.into(),
+            parameters: parameters.iter().map(|(n, v)| ((*n).to_string(), *v)).collect(),
+        }
+    }
+
+    fn sine(site: &mut Site, f_hz: f64) {
+        let rate = site.passages[0].sample_rate_hz;
+        let value = |k: usize| (std::f64::consts::TAU * f_hz * k as f64 / rate).sin();
+        let n = site.passages[0].acceleration_m_s2.len();
+        site.passages[0].acceleration_m_s2 = (0..n).map(|k| value(k) as f32).collect();
+    }
+
+    #[test]
+    fn analytic_gain_and_masses() {
+        let mut site = site();
+        site.passages[0].temperature_c = 30.0;
+        let all = [
+            effect("gain-temperature", &[("per_kelvin", 0.01)]),
+            effect("ballast-mass", &[("mass_kg_m", 61.6)]),
+            effect("pad-stiffness", &[("factor", 2.0)]),
+        ];
+        let out = corrected(&site, &all).unwrap();
+        let (a, b) = (site.passages[0].acceleration_m_s2[5000], out.passages[0].acceleration_m_s2[5000]);
+        assert!((f64::from(a) / f64::from(b) - 1.1).abs() < 1e-5);
+        // 0.28 m x 0.22 m: 61.6 kg/m are 1000 kg/m³.
+        let density = |s: &Site| s.crossing.sleeper.density_kg_m3;
+        assert!((density(&out) - density(&site) - 1000.0).abs() < 1e-6);
+        assert_eq!(out.crossing.pad.stiffness_n_m, 2.0 * site.crossing.pad.stiffness_n_m);
+    }
+
+    /// A fast clock stretches the recording; 50 Hz were recorded as 50/1.02 Hz by the stated rate.
+    #[test]
+    fn analytic_clock_mount_and_tone() {
+        let mut clock = site();
+        sine(&mut clock, 50.0 / 1.02);
+        let out = corrected(&clock, &[effect("clock-error", &[("relative", 0.02)])]).unwrap();
+        let (n, rate) = (out.passages[0].acceleration_m_s2.len(), 4000.0);
+        for k in n / 4..n / 2 {
+            let expected = (std::f64::consts::TAU * 50.0 * k as f64 / rate).sin();
+            assert!((f64::from(out.passages[0].acceleration_m_s2[k]) - expected).abs() < 0.05, "{k}");
+        }
+        let mut mount = site();
+        sine(&mut mount, 100.0);
+        let list = [effect("mount-resonance", &[("frequency_hz", 300.0), ("damping_ratio", 0.05)])];
+        let out = corrected(&mount, &list).unwrap();
+        let s: f64 = 1.0 / 3.0;
+        let gain = ((1.0 - s * s).powi(2) + (0.1 * s).powi(2)).sqrt() / (1.0 + (0.1 * s).powi(2)).sqrt();
+        let part: Vec<f64> = out.passages[0].acceleration_m_s2[3000..7000].iter().map(|v| f64::from(*v)).collect();
+        assert!((crate::signal::rms(&part) * 2f64.sqrt() / gain - 1.0).abs() < 0.01);
+        let mut tone = site();
+        sine(&mut tone, 40.0);
+        let out = corrected(&tone, &[effect("tonal", &[("frequency_hz", 40.0)])]).unwrap();
+        let left: Vec<f64> = out.passages[0].acceleration_m_s2.iter().map(|v| f64::from(*v)).collect();
+        assert!(crate::signal::rms(&left) < 0.03);
+    }
+
+    #[test]
+    fn property_what_does_not_fit_is_refused_with_its_name() {
+        let error = corrected(&site(), &[effect("voided-sleepers", &[("gap_m", 1e-3)])]).unwrap_err();
+        assert!(error.to_string().contains("voided-sleepers"), "{error}");
+        let error = corrected(&site(), &[effect("pad-stiffness", &[("factor", -1.0)])]).unwrap_err();
+        assert!(matches!(error, CorrectionError::Parameter { value, .. } if value == -1.0), "{error}");
+    }
+}

@@ -1,6 +1,7 @@
 //! The diagnosis on field recordings: contract of its files, what it may know, what it says of poor sites.
 
 use std::path::{Path, PathBuf};
+use std::process::Command;
 
 use arrow_array::cast::AsArray;
 use arrow_array::types::Float64Type;
@@ -70,6 +71,19 @@ fn reference_known_pads_are_named_and_the_numbers_can_be_recomputed() {
     let closed = (before - after) / (before - number("noise_floor"));
     assert!((closed - number("closed_fraction")).abs() < tolerance::CLOSED_FRACTION);
     assert!(out.path().join("diagnosis.html").is_file());
+    recompute_with_python(out.path());
+}
+
+/// The vendored script agrees, where Python with numpy and pyarrow is installed.
+fn recompute_with_python(diagnosis: &Path) {
+    let python = |arguments: &[&std::ffi::OsStr]| Command::new("python3").args(arguments).output();
+    let ready = python(&["-c".as_ref(), "import numpy, pyarrow.parquet".as_ref()]);
+    if !ready.is_ok_and(|r| r.status.success()) {
+        return;
+    }
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../bench/closed_fraction.py");
+    let run = python(&[script.as_os_str(), diagnosis.as_os_str()]).unwrap();
+    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stdout));
 }
 
 #[test]
@@ -91,6 +105,108 @@ fn property_nothing_but_the_recordings_matters() {
     std::fs::write(place.join("truth.parquet"), "garbage").unwrap();
     let other = diagnosis_json(&quick(&read_site(&place).unwrap()).unwrap());
     assert_eq!(one, other);
+}
+
+/// Corrupted truth, shuffled passages and other file names do not move a single digit of a full diagnosis.
+#[test]
+fn property_order_of_the_passages_does_not_matter() {
+    let mut site = small("known-wheel-out-of-roundness", 6);
+    let one = diagnosis_json(&quick(&site).unwrap());
+    site.passages.reverse();
+    let other = diagnosis_json(&quick(&site).unwrap());
+    // Sums are taken in another order.
+    let gap = |d: &serde_json::Value| d["gap"]["before"].as_f64().unwrap();
+    assert!((gap(&one) / gap(&other) - 1.0).abs() < tolerance::SUM_ORDER, "{} {}", gap(&one), gap(&other));
+    assert_eq!(one["verdict"], other["verdict"]);
+}
+
+/// What a trial hands to the diagnosis holds no trace of its answer.
+#[test]
+fn property_a_trial_hands_over_the_site_only() {
+    let work = tempfile::tempdir().unwrap();
+    let trial = (0..20).map(|i| cpcm::gap::trial::scenario_of(5, i, work.path()).unwrap());
+    let trial = trial.into_iter().find(|t| !t.1.is_empty()).unwrap();
+    let (mut scenario, effects) = trial;
+    scenario.simulation.passages = 1;
+    let made = cpcm::scenario::simulate(&scenario, &Silent).unwrap();
+    let place = work.path().join("site");
+    write_site(&place, &made.site, Format::Parquet).unwrap();
+    let mut files: Vec<String> = std::fs::read_dir(&place)
+        .unwrap()
+        .map(|f| f.unwrap().file_name().into_string().unwrap())
+        .collect();
+    files.sort();
+    assert_eq!(files, ["crossing.toml", "irregularity.csv", "passages.parquet"]);
+    for file in files {
+        let text = String::from_utf8_lossy(&std::fs::read(place.join(&file)).unwrap()).into_owned();
+        assert!(!text.contains(&effects[0]) && !text.contains("[simulation"), "{file}");
+    }
+}
+
+fn full(site: &Site) -> Diagnosis {
+    diagnose(site, &DiagnoseOptions::default(), &Silent).unwrap()
+}
+
+#[test]
+fn property_one_passage_names_no_effect() {
+    let found = full(&small("known-pad-stiffness", 1));
+    assert!(found.effects.is_empty() && says(&found, "no effect is looked for"), "{:?}", found.remarks);
+}
+
+#[test]
+fn property_one_kilohertz_is_refused_with_its_number() {
+    let mut site = small("reference-1", 2);
+    for p in &mut site.passages {
+        p.sample_rate_hz = 1000.0;
+        p.acceleration_m_s2 = p.acceleration_m_s2.iter().step_by(4).copied().collect();
+    }
+    let error = quick(&site).unwrap_err();
+    assert!(matches!(error, GapError::SampleRate { rate_hz, .. } if rate_hz == 1000.0), "{error}");
+}
+
+#[test]
+fn property_recordings_of_two_crossings_are_told_apart() {
+    let mut site = small("reference-1", 6);
+    site.passages.extend(small("reference-3", 4).passages);
+    let found = full(&site);
+    assert_eq!(found.verdict, Verdict::Unexplained);
+    assert!(found.effects.is_empty() && says(&found, "more than one crossing"), "{:?}", found.remarks);
+}
+
+#[test]
+fn property_a_scan_of_another_crossing_is_noticed() {
+    let mut site = small("reference-1", 9);
+    site.scan = field("known-saturation").scan;
+    let found = full(&site);
+    assert_eq!(found.verdict, Verdict::Unexplained, "{:?}", found.effects);
+    assert!(found.effects.is_empty() && says(&found, "scan does not belong"), "{:?}", found.remarks);
+}
+
+/// Everything above a fifth of what occurs is cut off: saturation may be named, nothing else.
+#[test]
+fn property_all_clipped_recordings_name_saturation_or_nothing() {
+    let mut site = small("reference-1", 6);
+    for a in site.passages.iter_mut().flat_map(|p| &mut p.acceleration_m_s2) {
+        *a = a.clamp(-12.0, 12.0);
+    }
+    let found = full(&site);
+    assert!(found.effects.iter().all(|e| e.name == "saturation"), "{:?}", found.effects);
+    assert_ne!(found.verdict, Verdict::NoGap);
+}
+
+/// No scan, no speeds, one temperature: nothing acts at reference-2, and nothing is named.
+#[test]
+fn property_poor_input_without_effect_names_none() {
+    let mut site = small("reference-2", 9);
+    site.scan = None;
+    for p in &mut site.passages {
+        (p.speed_m_s, p.temperature_c) = (None, 12.0);
+    }
+    let found = full(&site);
+    assert!(found.effects.is_empty(), "{:?}", found.effects);
+    for word in ["no laser scan", "no speeds", "constant temperature"] {
+        assert!(says(&found, word));
+    }
 }
 
 fn says(found: &Diagnosis, word: &str) -> bool {

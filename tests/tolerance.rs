@@ -64,3 +64,5 @@ pub const REDUCTION: f64 = 1e-3;
 pub const CLOSED_FRACTION: f64 = 0.01;
 /// Gaps from `predictions.parquet` against `diagnosis.json`, relative: rounding of sums of some 10⁴ squares.
 pub const GAP_RECOMPUTED: f64 = 1e-9;
+/// The gap of a fit whose sums are taken in another order, relative: rounding, amplified by the steps of a search.
+pub const SUM_ORDER: f64 = 1e-3;

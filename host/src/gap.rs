@@ -3,6 +3,7 @@
 pub mod base;
 pub mod comb;
 pub mod consequences;
+pub mod consistency;
 pub mod corrected;
 pub mod data;
 pub mod diagnosis;
@@ -36,6 +37,18 @@ pub enum GapError {
     Singular {
         /// Which one.
         what: &'static str,
+    },
+    /// Recordings that cannot be brought to the rate of the comparison.
+    #[error(
+        "passage {passage_id}: sampling rate {rate_hz} Hz; the diagnosis needs a multiple of {step_hz} Hz, at least twice that; record at 4000 Hz"
+    )]
+    SampleRate {
+        /// Which recording.
+        passage_id: i32,
+        /// As stated, Hz.
+        rate_hz: f64,
+        /// Rate of the comparison, Hz.
+        step_hz: f64,
     },
     /// No train in a recording.
     #[error("no passage with a train in it is left; the recordings are silent")]

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 
 use super::GapError;
 use super::comb::{SPEEDS_M_S, comb};
-use super::data::{Observed, window_m};
+use super::data::{Observed, RATE_HZ, window_m};
 use super::effect::Effect;
 use super::fit::{Fit, FitOptions, Frame, State, fit};
 use super::linear::{BogieResponses, Linear};
@@ -66,6 +66,7 @@ const ASTRAY_M: f64 = 1.45;
 
 /// Reads the recordings.
 pub fn observe(site: &Site) -> Result<Vec<Observed>, GapError> {
+    check_rates(site)?;
     let crossing = &site.crossing;
     let pattern = AxlePattern::of_vehicle(&crossing.vehicle);
     let track = Track::of_crossing(crossing, Mesh::default());
@@ -120,6 +121,18 @@ pub fn observe(site: &Site) -> Result<Vec<Observed>, GapError> {
             observed
         })
         .collect())
+}
+
+/// Windows are decimated by whole numbers.
+fn check_rates(site: &Site) -> Result<(), GapError> {
+    for p in &site.passages {
+        let ratio = p.sample_rate_hz / RATE_HZ;
+        if !(ratio > 1.5 && (ratio - ratio.round()).abs() < 1e-9) {
+            let (passage_id, rate_hz) = (p.passage_id, p.sample_rate_hz);
+            return Err(GapError::SampleRate { passage_id, rate_hz, step_hz: RATE_HZ });
+        }
+    }
+    Ok(())
 }
 
 /// World as the operator describes it.
@@ -219,9 +232,14 @@ pub fn base(
     let state = State::start(&frame, &start);
     let options = FitOptions { steps: 5, renew: 3, tolerance: 3.0 };
     let first = fit(&frame, &[], state, search, options)?;
-    let (responses, shapes) = linearise(&first.state.world(&frame, &[]), &frame.observed)?;
+    // With the ballast about right, a passage that had locked onto a neighbouring wave finds its place.
+    let mut state = first.state;
+    let world = state.world(&frame, &[]);
+    align(&world, &mut frame.observed, window)?;
+    state.shift_m.fill(0.0);
+    let (responses, shapes) = linearise(&world, &frame.observed)?;
     frame.responses = responses;
-    let second = fit(&frame, &[], first.state, search, options)?;
+    let second = fit(&frame, &[], state, search, options)?;
     let variation = variation_of(&frame, &shapes, &[], &second.state, search)?;
     frame.factors = self::factors(&frame.observed, &shapes, &variation)?;
     let fit = fit(&frame, &[], second.state, subset, FitOptions::default())?;

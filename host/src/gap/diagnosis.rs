@@ -4,6 +4,7 @@ use std::time::Instant;
 
 use super::GapError;
 use super::base::{Base, PathPrior, base, fit_variation};
+use super::consistency::Strangers;
 use super::effect::{Effect, Hints, Stage};
 use super::effects::{COMMON, LATENT};
 use super::fit::{Fit, FitOptions, State, fit, simulate};
@@ -127,12 +128,21 @@ const LATENT_SHARE: f64 = 0.1;
 /// What an effect must take off the residual, RMS relative to the wheels' scatter: the first one named, and further ones,
 /// which may only mend the description of the first.
 const LEAST_GAINED: (f64, f64) = (0.15, 0.3);
+/// An effect of single recordings also counts when it explains this part of the residual's displacement: slow shifts have no
+/// energy worth mentioning in the acceleration.
+const DISPLACEMENT_SHARE: f64 = 0.5;
 /// Candidates within this of the best are not told apart.
 const SAME_GAIN: f64 = 4.0;
 /// Standard deviation of the path around the scan and of the stock rail, metres: as the reference recordings have it.
 const PATH_PRIOR: PathPrior = PathPrior { inside_m: 10e-6, outside_m: 20e-6, stock_m: 15e-6 };
 /// Passages used for the search; all training passages for the final fit.
 const SEARCH_PASSAGES: usize = 12;
+
+/// Passages needed to look for an effect.
+const LEAST_PASSAGES: usize = 4;
+/// A scan is another crossing's when more than this part of the residual's energy is common to all wheels, when the path
+/// that fits instead differs from it by this part of its own energy, and when that leaves less than this of the common part.
+const FOREIGN_SCAN: (f64, f64, f64) = (0.7, 0.3, 0.5);
 
 /// Squared misfit per value of the model that clips too, above which no further effect is looked for.
 const CLIPPED_MISFIT: f64 = 4.0;
@@ -168,6 +178,7 @@ pub fn diagnose(
             searched = false;
         }
     }
+    searched &= session.trustworthy(site, &before);
     if searched {
         session.search(progress)?;
     }
@@ -200,8 +211,26 @@ struct Session<'a> {
     ranking: Vec<Ranked>,
     cosines: Vec<(&'static str, &'static str, f64)>,
     remarks: Vec<String>,
+    foreign_scan: bool,
+    /// The recordings or the scan cannot be what they are said to be: no gap of theirs means anything.
+    untrusted: bool,
     /// How far the current model's residual is above the scatter of the wheels (in squares, relative), and that scatter.
     scatter: (f64, f64),
+}
+
+/// A latent effect, what it found, and the part of the displacement's residual that this explains.
+type Explored = (&'static dyn Latent, Option<LatentFit>, f64);
+
+/// Part of the displacement's residual of the training passages that an effect explains.
+fn displacement_share(scene: &Scene, found: &LatentFit) -> f64 {
+    let (mut before, mut after) = (0.0, 0.0);
+    for i in scene.train {
+        let residual = &scene.traces[*i].residual;
+        let left: Vec<f64> = residual.iter().zip(&found.traces[*i]).map(|(r, f)| r - f).collect();
+        let energy = |a: &[f64]| super::measure::displacement(a).iter().map(|d| d * d).sum::<f64>();
+        (before, after) = (before + energy(residual), after + energy(&left));
+    }
+    1.0 - after / before.max(f64::MIN_POSITIVE)
 }
 
 /// A model before the last effect.
@@ -244,6 +273,8 @@ impl<'a> Session<'a> {
             ranking: Vec::new(),
             cosines: Vec::new(),
             remarks: Vec::new(),
+            foreign_scan: false,
+            untrusted: false,
             scatter: (0.0, 0.0),
             base,
         };
@@ -312,6 +343,78 @@ impl<'a> Session<'a> {
                 "one axle load: voids, axle load and stiffness are told apart by their shape only; a lighter train would separate them",
             );
         }
+    }
+
+    /// Whether there is enough, and one crossing only, to look for effects in. What is wrong is said.
+    fn trustworthy(&mut self, site: &Site, before: &super::world::World) -> bool {
+        let observed = &self.base.frame.observed;
+        if observed.len() < LEAST_PASSAGES {
+            self.remarks.push(format!(
+                "{} passages: no effect is looked for, chance would name one; record at least {LEAST_PASSAGES}",
+                observed.len()
+            ));
+            return false;
+        }
+        let strangers = Strangers::among(observed);
+        if strangers.matter() {
+            self.untrusted = true;
+            self.remarks.push(format!(
+                "passages {:?} do not resemble the others: recordings of more than one crossing, direction or sensor position; \
+                 sort them, no effect is looked for",
+                strangers.passage_id
+            ));
+            return false;
+        }
+        if site.scan.is_some() && self.scan_is_foreign(site, before) {
+            self.remarks.push(
+                "the laser scan does not belong to these recordings: without it they are predicted far better, over another \
+                 path; scan again, no effect is looked for"
+                    .into(),
+            );
+            (self.foreign_scan, self.untrusted) = (true, true);
+            return false;
+        }
+        true
+    }
+
+    /// Whether another path than the scan's predicts the recordings far better.
+    fn scan_is_foreign(&self, site: &Site, before: &super::world::World) -> bool {
+        let excess = |b: &Base| -> Option<f64> {
+            let world = b.fit.state.world(&b.frame, &[]);
+            let responses = simulate(&world, &b.frame, self.search).ok()?;
+            let residuals: Vec<Vec<Vec<f64>>> = self
+                .search
+                .iter()
+                .zip(&responses)
+                .map(|(i, r)| {
+                    let o = &b.frame.observed[*i];
+                    o.window_residuals(r, 1.0, o.lag(r, 1.0, ALIGN_M / o.speed_m_s))
+                })
+                .collect();
+            let ratio = |w: &Vec<Vec<f64>>| {
+                let k = w.len() as f64;
+                let all: f64 = w.iter().flatten().map(|v| v * v).sum();
+                let mean: f64 = super::data::mean_of(w).iter().map(|v| v * v).sum();
+                k * mean / all.max(f64::MIN_POSITIVE)
+            };
+            Some(crate::signal::quantile(&residuals.iter().map(ratio).collect::<Vec<_>>(), 0.5))
+        };
+        let with = excess(self.base).unwrap_or(0.0);
+        if with < FOREIGN_SCAN.0 {
+            return false;
+        }
+        let mut bare = site.clone();
+        bare.scan = None;
+        let Ok(free) = base(&bare, self.search, self.search, &PATH_PRIOR, None) else { return false };
+        let world = free.fit.state.world(&free.frame, &[]);
+        let (mut off, mut own) = (0.0, 0.0);
+        for k in -40..=40 {
+            let x = 0.3 + 0.01 * f64::from(k);
+            let (a, b) = (before.path.scan.at(x), world.path.at(crate::track::Side::Crossing, x));
+            off += (a - b).powi(2);
+            own += a * a;
+        }
+        off > FOREIGN_SCAN.1 * own && excess(&free).is_some_and(|without| without < FOREIGN_SCAN.2 * with)
     }
 
     fn state(&self) -> State {
@@ -400,7 +503,7 @@ impl<'a> Session<'a> {
         &self,
         tried: &[Tried<'static>],
         reference: &Fit,
-        latent: &[(&'static dyn Latent, Option<LatentFit>)],
+        latent: &[Explored],
     ) -> Vec<Candidate> {
         // The best fit of the round tells how much of the misfit is left to chance.
         let inflation = tried
@@ -422,9 +525,9 @@ impl<'a> Session<'a> {
                 full,
             }
         });
-        let latent = latent.iter().map(|(e, f)| {
+        let latent = latent.iter().map(|(e, f, moved)| {
             let share = f.as_ref().map_or(0.0, |f| self.share_of(f));
-            let full = share > LATENT_SHARE;
+            let full = share > LATENT_SHARE || *moved > DISPLACEMENT_SHARE;
             let gain = f.as_ref().map_or(0.0, |f| f.gain) / LATENT_INFLATION;
             let gain = if full { gain } else { gain.min(0.5 * LEAST_GAIN) };
             Candidate { name: e.name(), stage: e.stage(), gain, misfit_gain: f64::INFINITY, full }
@@ -456,7 +559,7 @@ impl<'a> Session<'a> {
         (crate::signal::quantile(&above, 0.5), own_sum)
     }
 
-    fn explore(&mut self) -> Result<Vec<(&'static dyn Latent, Option<LatentFit>)>, GapError> {
+    fn explore(&mut self) -> Result<Vec<Explored>, GapError> {
         let state = self.state();
         let world = state.world(&self.base.frame, &self.accepted);
         let all: Vec<usize> = (0..self.base.frame.observed.len()).collect();
@@ -479,6 +582,10 @@ impl<'a> Session<'a> {
             .iter()
             .filter(|e| !known.contains(&e.name()))
             .map(|e| (*e, e.explore(&scene)))
+            .map(|(e, f)| {
+                let moved = f.as_ref().map_or(0.0, |f| displacement_share(&scene, f));
+                (e, f, moved)
+            })
             .collect();
         self.scatter = self.squares_of(&scene.residuals);
         Ok(found)
@@ -502,7 +609,7 @@ impl<'a> Session<'a> {
         &mut self,
         name: &'static str,
         tried: Vec<Tried<'static>>,
-        latent: Vec<(&'static dyn Latent, Option<LatentFit>)>,
+        latent: Vec<Explored>,
         list: &[Candidate],
     ) -> Result<(), GapError> {
         let best = &list[0];
@@ -523,7 +630,8 @@ impl<'a> Session<'a> {
         if let Some(t) = tried.into_iter().find(|t| t.effect.name() == name) {
             self.accepted.push(t.effect);
             self.fit = t.fit;
-        } else if let Some((effect, Some(found))) = latent.into_iter().find(|(e, _)| e.name() == name) {
+        } else if let Some((effect, Some(found))) = latent.into_iter().map(|(e, f, _)| (e, f)).find(|(e, _)| e.name() == name)
+        {
             named.parameters = found.parameters.clone();
             for (o, part) in self.base.frame.observed.iter_mut().zip(&found.windows) {
                 o.remove(part);
@@ -642,8 +750,11 @@ impl<'a> Session<'a> {
             let named = self.named.iter().any(|n| n.name == r.name);
             r.gap_after = if named { gap.after } else { gap.before };
         }
-        let verdict = verdict(&gap, &self.named);
-        let stage = super::verdict::stage(verdict, &self.named, &self.ranking);
+        let verdict = if self.untrusted { Verdict::Unexplained } else { verdict(&gap, &self.named) };
+        let stage = match self.foreign_scan {
+            true => Some(Stage::Geometry),
+            false => super::verdict::stage(verdict, &self.named, &self.ranking),
+        };
         progress.step();
         Ok(Diagnosis {
             verdict,

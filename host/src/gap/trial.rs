@@ -97,6 +97,37 @@ const DRAWN: [&str; 20] = [
 
 /// Draws and simulates trial `index` of `seed`; `work` holds a file while the nominal site is read.
 pub fn draw(seed: u64, index: u64, work: &Path) -> Result<Trial, TrialError> {
+    let drawn = drawn(seed, index, work)?;
+    let Drawn { question, names, mut scenario, mut random } = drawn;
+    // A few passages tell how strong an effect is.
+    let mut few = scenario.clone();
+    few.simulation.passages = STRENGTH_PASSAGES;
+    let plain = if names.is_empty() { None } else { Some(simulate(&few, &Silent)?) };
+    let parameters =
+        names.iter().map(|n| (*n, put(&mut scenario.simulation.effects, n, &mut random))).collect();
+    let changed = simulate(&scenario, &Silent)?;
+    let strength = plain.map_or(0.0, |p| strength(&p.site, &changed.site));
+    let known =
+        |name: &str| COMMON.iter().any(|e| e.name() == name) || LATENT.iter().any(|e| e.name() == name);
+    let unknown = names.len() == 1 && !known(names[0]);
+    let question = if question == Question::One && unknown { Question::LeftOut } else { question };
+    let exclude = (question == Question::LeftOut).then(|| names[0]);
+    Ok(Trial {
+        site: changed.site,
+        exclude,
+        answer: Answer { question, effects: names, parameters, strength },
+    })
+}
+
+/// A trial before its effects are put in.
+struct Drawn {
+    question: Question,
+    names: Vec<&'static str>,
+    scenario: Scenario,
+    random: Random,
+}
+
+fn drawn(seed: u64, index: u64, work: &Path) -> Result<Drawn, TrialError> {
     let mut random = Random::new(seed, 1000 + index);
     let mut scenario = scenario(&mut random, work)?;
     scenario.simulation.seed = seed.wrapping_mul(100_003).wrapping_add(index);
@@ -118,24 +149,17 @@ pub fn draw(seed: u64, index: u64, work: &Path) -> Result<Trial, TrialError> {
             names.push(name);
         }
     }
-    // A few passages tell how strong an effect is.
-    let mut few = scenario.clone();
-    few.simulation.passages = STRENGTH_PASSAGES;
-    let plain = if names.is_empty() { None } else { Some(simulate(&few, &Silent)?) };
-    let parameters =
-        names.iter().map(|n| (*n, put(&mut scenario.simulation.effects, n, &mut random))).collect();
-    let changed = simulate(&scenario, &Silent)?;
-    let strength = plain.map_or(0.0, |p| strength(&p.site, &changed.site));
-    let known =
-        |name: &str| COMMON.iter().any(|e| e.name() == name) || LATENT.iter().any(|e| e.name() == name);
-    let unknown = names.len() == 1 && !known(names[0]);
-    let question = if question == Question::One && unknown { Question::LeftOut } else { question };
-    let exclude = (question == Question::LeftOut).then(|| names[0]);
-    Ok(Trial {
-        site: changed.site,
-        exclude,
-        answer: Answer { question, effects: names, parameters, strength },
-    })
+    Ok(Drawn { question, names, scenario, random })
+}
+
+/// The scenario of a trial with its effects, and their names.
+pub fn scenario_of(seed: u64, index: u64, work: &Path) -> Result<(Scenario, Vec<String>), TrialError> {
+    let mut drawn = drawn(seed, index, work)?;
+    for name in &drawn.names {
+        put(&mut drawn.scenario.simulation.effects, name, &mut drawn.random);
+    }
+    let names = drawn.names.iter().map(|n| (*n).to_string()).collect();
+    Ok((drawn.scenario, names))
 }
 
 /// A site within what the field shows: both pads, both directions, soft and stiff ballast, shallow and deep crossings.

@@ -1,0 +1,84 @@
+//! Whether the recordings of a site belong together, before anything is concluded from them.
+
+use faer::Mat;
+
+use super::data::{Observed, RATE_HZ};
+
+/// Passages that do not resemble the others.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Strangers {
+    /// As in the recordings.
+    pub passage_id: Vec<i32>,
+    /// Passages compared.
+    pub of: usize,
+}
+
+/// Travel of the front axle over which passages are compared, metres, and step.
+const TRAVEL_M: (f64, f64, f64) = (-2.0, 5.0, 0.02);
+/// Shift allowed between two passages, steps: the axle times are not known better before a model has been fitted.
+const SHIFT: i64 = 30;
+/// Correlation of the mean windows below which a passage is a stranger. Speeds 10 % apart leave more than 0.6 (field
+/// recordings, `examples/gaps`); other crossings less than 0.3.
+const ALIKE: f64 = 0.4;
+/// Part of the passages that must be strangers: a single bad recording is not another crossing.
+const PART: f64 = 0.15;
+
+impl Strangers {
+    /// Compares all passages with the one that most resemble.
+    pub fn among(observed: &[Observed]) -> Self {
+        let curves: Vec<Vec<f64>> = observed.iter().map(curve).collect();
+        let n = curves.len();
+        let alike = Mat::from_fn(n, n, |i, j| if i == j { 1.0 } else { resemblance(&curves[i], &curves[j]) });
+        let followers = |i: usize| (0..n).filter(|j| alike[(i, *j)] > ALIKE).count();
+        let Some(middle) = (0..n).max_by_key(|i| followers(*i)) else { return Self::default() };
+        let passage_id =
+            (0..n).filter(|j| alike[(middle, *j)] <= ALIKE).map(|j| observed[j].passage_id).collect();
+        Self { passage_id, of: n }
+    }
+
+    /// Too many to be chance.
+    pub fn matter(&self) -> bool {
+        self.of > 2 && self.passage_id.len() as f64 > PART * self.of as f64
+    }
+}
+
+/// Mean window along the travel of the front axle.
+fn curve(o: &Observed) -> Vec<f64> {
+    let count = ((TRAVEL_M.1 - TRAVEL_M.0) / TRAVEL_M.2) as usize;
+    (0..count)
+        .map(|i| {
+            let t = (TRAVEL_M.0 + i as f64 * TRAVEL_M.2) / o.speed_m_s - o.first_s;
+            let p = t * RATE_HZ;
+            match o.mean.get(p.max(0.0) as usize..p.max(0.0) as usize + 2) {
+                Some(v) if p >= 0.0 => v[0] + p.fract() * (v[1] - v[0]),
+                _ => 0.0,
+            }
+        })
+        .collect()
+}
+
+/// Largest correlation within the shift allowed.
+fn resemblance(a: &[f64], b: &[f64]) -> f64 {
+    let norm = |v: &[f64]| v.iter().map(|x| x * x).sum::<f64>().sqrt();
+    let scale = (norm(a) * norm(b)).max(f64::MIN_POSITIVE);
+    (-SHIFT..=SHIFT)
+        .map(|s| {
+            let (x, y) = if s >= 0 { (&a[s as usize..], b) } else { (a, &b[-s as usize..]) };
+            x.iter().zip(y).map(|(x, y)| x * y).sum::<f64>() / scale
+        })
+        .fold(f64::NEG_INFINITY, f64::max)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn analytic_resemblance_of_a_shifted_and_of_another_curve() {
+        let wave = |shift: f64, k: f64| -> Vec<f64> {
+            (0..350).map(|i| { let x = i as f64 - 170.0 - shift; (k * x).sin() * (-x * x / 2000.0).exp() }).collect()
+        };
+        assert!(resemblance(&wave(0.0, 0.2), &wave(20.0, 0.2)) > 0.99);
+        assert!(resemblance(&wave(0.0, 0.2), &wave(0.0, 0.7)) < 0.2);
+    }
+}

@@ -131,10 +131,8 @@ fn property_a_trial_hands_over_the_site_only() {
     let made = cpcm::scenario::simulate(&scenario, &Silent).unwrap();
     let place = work.path().join("site");
     write_site(&place, &made.site, Format::Parquet).unwrap();
-    let mut files: Vec<String> = std::fs::read_dir(&place)
-        .unwrap()
-        .map(|f| f.unwrap().file_name().into_string().unwrap())
-        .collect();
+    let mut files: Vec<String> =
+        std::fs::read_dir(&place).unwrap().map(|f| f.unwrap().file_name().into_string().unwrap()).collect();
     files.sort();
     assert_eq!(files, ["crossing.toml", "irregularity.csv", "passages.parquet"]);
     for file in files {

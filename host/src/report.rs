@@ -17,6 +17,7 @@ mod plot;
 mod tables;
 pub mod text;
 mod traces;
+pub mod trials;
 pub mod verification;
 
 use page::Figure;

@@ -77,8 +77,7 @@ pub fn observe(site: &Site) -> Result<Vec<Observed>, GapError> {
         .enumerate()
         .filter_map(|(i, p)| {
             let recording = Recording::new(p, &crossing.sensor);
-            let likely =
-                p.speed_m_s.map_or(SPEEDS_M_S, |v| [(1.0 - OPERATOR) * v, (1.0 + OPERATOR) * v]);
+            let likely = p.speed_m_s.map_or(SPEEDS_M_S, |v| [(1.0 - OPERATOR) * v, (1.0 + OPERATOR) * v]);
             let (about, hit_s) = comb(&recording, &pattern, likely)?;
             let search = SpeedSearch {
                 range_m_s: [(1.0 - ABOUT) * about, (1.0 + ABOUT) * about],

@@ -32,7 +32,8 @@ pub fn comb(recording: &Recording, pattern: &AxlePattern, [low, high]: [f64; 2])
     let mut best: Option<(f64, f64, f64)> = None;
     for speed in (0..count).map(|i| low * (i as f64 * STEP).exp()) {
         let last = envelope.len() as f64 - 1.0 - length_m / speed * RATE_HZ;
-        let at: Vec<usize> = pattern.offset_m.iter().map(|o| (o / speed * RATE_HZ).round() as usize).collect();
+        let at: Vec<usize> =
+            pattern.offset_m.iter().map(|o| (o / speed * RATE_HZ).round() as usize).collect();
         for start in 0..last.max(0.0) as usize {
             let sum: f64 = at.iter().filter_map(|k| envelope.get(start + k)).sum();
             if best.is_none_or(|b| sum > b.0) {

@@ -76,7 +76,12 @@ mod tests {
     #[test]
     fn analytic_resemblance_of_a_shifted_and_of_another_curve() {
         let wave = |shift: f64, k: f64| -> Vec<f64> {
-            (0..350).map(|i| { let x = i as f64 - 170.0 - shift; (k * x).sin() * (-x * x / 2000.0).exp() }).collect()
+            (0..350)
+                .map(|i| {
+                    let x = i as f64 - 170.0 - shift;
+                    (k * x).sin() * (-x * x / 2000.0).exp()
+                })
+                .collect()
         };
         assert!(resemblance(&wave(0.0, 0.2), &wave(20.0, 0.2)) > 0.99);
         assert!(resemblance(&wave(0.0, 0.2), &wave(0.0, 0.7)) < 0.2);

@@ -156,7 +156,9 @@ fn include(site: &mut Site, effect: &Included) -> Result<(), CorrectionError> {
             return Err(effect.refused("its ballast is linear; tamp, record again, and analyse then"));
         }
         "support-loss" => {
-            return Err(effect.refused("its ballast has three parameters, the same on both sides of the crossing"));
+            return Err(
+                effect.refused("its ballast has three parameters, the same on both sides of the crossing")
+            );
         }
         "load-transfer" => {
             return Err(effect.refused("it assumes the same static force on both rails"));
@@ -202,7 +204,8 @@ fn without_tone(passage: &mut Passage, frequency_hz: f64) {
     let quiet = ((QUIET_S * rate) as usize).min(n / 2);
     let omega = std::f64::consts::TAU * frequency_hz / rate;
     let ends = (0..quiet).chain(n - quiet..n);
-    let mean = ends.clone().map(|i| f64::from(passage.acceleration_m_s2[i])).sum::<f64>() / (2 * quiet).max(1) as f64;
+    let mean = ends.clone().map(|i| f64::from(passage.acceleration_m_s2[i])).sum::<f64>()
+        / (2 * quiet).max(1) as f64;
     let (mut c, mut s) = (0.0, 0.0);
     for i in ends {
         let (sin, cos) = (omega * i as f64).sin_cos();
@@ -294,7 +297,8 @@ mod tests {
         let out = corrected(&mount, &list).unwrap();
         let s: f64 = 1.0 / 3.0;
         let gain = ((1.0 - s * s).powi(2) + (0.1 * s).powi(2)).sqrt() / (1.0 + (0.1 * s).powi(2)).sqrt();
-        let part: Vec<f64> = out.passages[0].acceleration_m_s2[3000..7000].iter().map(|v| f64::from(*v)).collect();
+        let part: Vec<f64> =
+            out.passages[0].acceleration_m_s2[3000..7000].iter().map(|v| f64::from(*v)).collect();
         assert!((crate::signal::rms(&part) * 2f64.sqrt() / gain - 1.0).abs() < 0.01);
         let mut tone = site();
         sine(&mut tone, 40.0);

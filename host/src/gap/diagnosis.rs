@@ -289,7 +289,7 @@ impl<'a> Session<'a> {
         self.named.push(Named {
             name,
             stage,
-            probability: 0.99,
+            probability: MOST_SURE,
             parameters,
             indistinguishable_from: Vec::new(),
             gained: f64::NAN,
@@ -297,7 +297,7 @@ impl<'a> Session<'a> {
         self.ranking.push(Ranked {
             name,
             stage,
-            probability: 0.99,
+            probability: MOST_SURE,
             gain: f64::INFINITY,
             gap_after: f64::NAN,
         });
@@ -439,7 +439,7 @@ impl<'a> Session<'a> {
                 accepted: self.accepted.len(),
                 fit: self.fit.clone(),
             };
-            if !self.one_round(number, progress)? || !self.confirm(&earlier)? {
+            if !self.one_round(number, &earlier, progress)? {
                 break;
             }
         }
@@ -447,8 +447,13 @@ impl<'a> Session<'a> {
     }
 
     /// Tries everything on top of what is accepted; accepts the best if it is good enough.
-    fn one_round(&mut self, number: usize, progress: &dyn Progress) -> Result<bool, GapError> {
-        let latent = self.explore()?;
+    fn one_round(
+        &mut self,
+        number: usize,
+        earlier: &Confirmed,
+        progress: &dyn Progress,
+    ) -> Result<bool, GapError> {
+        let mut latent = self.explore()?;
         progress.step();
         let names: Vec<&str> = self.named.iter().map(|n| n.name).collect();
         let candidates: Vec<&'static dyn Effect> =
@@ -461,7 +466,7 @@ impl<'a> Session<'a> {
             self.search,
             FitOptions { steps: 3, ..FitOptions::default() },
         )?;
-        let (tried, screening) = round(
+        let (mut tried, screening) = round(
             &self.base.frame,
             (&self.accepted, &reference.state),
             &candidates,
@@ -479,13 +484,17 @@ impl<'a> Session<'a> {
         }
         list.sort_by(|a, b| b.gain.total_cmp(&a.gain));
         self.rank(&list);
-        match list.first() {
-            Some(best) if best.gain > LEAST_GAIN => {}
-            _ => return Ok(false),
+        // The best that also takes something off the residual.
+        for k in 0..list.len() {
+            if list[k].gain <= LEAST_GAIN {
+                break;
+            }
+            self.accept(&list[k..], &mut tried, &mut latent)?;
+            if self.confirm(earlier)? {
+                return Ok(true);
+            }
         }
-        let best = &list[0];
-        self.accept(best.name, tried, latent, &list)?;
-        Ok(true)
+        Ok(false)
     }
 
     /// Whether an effect explains enough to be named.
@@ -499,12 +508,7 @@ impl<'a> Session<'a> {
         c.full && room && c.gain > least_gain && 2.0 * c.misfit_gain > least_share * misfit
     }
 
-    fn candidates(
-        &self,
-        tried: &[Tried<'static>],
-        reference: &Fit,
-        latent: &[Explored],
-    ) -> Vec<Candidate> {
+    fn candidates(&self, tried: &[Tried<'static>], reference: &Fit, latent: &[Explored]) -> Vec<Candidate> {
         // The best fit of the round tells how much of the misfit is left to chance.
         let inflation = tried
             .iter()
@@ -605,20 +609,21 @@ impl<'a> Session<'a> {
             .collect()
     }
 
+    /// Takes the first of a list into the model.
     fn accept(
         &mut self,
-        name: &'static str,
-        tried: Vec<Tried<'static>>,
-        latent: Vec<Explored>,
         list: &[Candidate],
+        tried: &mut [Tried<'static>],
+        latent: &mut Vec<Explored>,
     ) -> Result<(), GapError> {
         let best = &list[0];
+        let name = best.name;
         let same = list[1..]
             .iter()
             .filter(|c| c.full && best.gain - c.gain < SAME_GAIN + 0.01 * best.gain)
             .map(|c| c.name)
             .collect();
-        let probability = self.ranking.iter().find(|r| r.name == name).map_or(1.0, |r| r.probability);
+        let probability = self.ranking.iter().find(|r| r.name == name).map_or(MOST_SURE, |r| r.probability);
         let mut named = Named {
             name,
             stage: best.stage,
@@ -627,10 +632,11 @@ impl<'a> Session<'a> {
             indistinguishable_from: same,
             gained: f64::NAN,
         };
-        if let Some(t) = tried.into_iter().find(|t| t.effect.name() == name) {
+        if let Some(t) = tried.iter_mut().find(|t| t.effect.name() == name) {
             self.accepted.push(t.effect);
-            self.fit = t.fit;
-        } else if let Some((effect, Some(found))) = latent.into_iter().map(|(e, f, _)| (e, f)).find(|(e, _)| e.name() == name)
+            self.fit = t.fit.take();
+        } else if let Some((effect, Some(found))) =
+            latent.drain(..).map(|(e, f, _)| (e, f)).find(|(e, _)| e.name() == name)
         {
             named.parameters = found.parameters.clone();
             for (o, part) in self.base.frame.observed.iter_mut().zip(&found.windows) {
@@ -705,7 +711,7 @@ impl<'a> Session<'a> {
         // Without a sufficient gain nothing acts.
         let total: f64 = list.iter().map(|c| weight(c.gain)).sum::<f64>() + weight(LEAST_GAIN);
         for c in list {
-            let probability = weight(c.gain) / total;
+            let probability = (weight(c.gain) / total).min(MOST_SURE);
             let entry =
                 Ranked { name: c.name, stage: c.stage, probability, gain: c.gain, gap_after: f64::NAN };
             match self.ranking.iter_mut().find(|r| r.name == c.name) {
@@ -801,6 +807,8 @@ const ALIGN_M: f64 = 0.15;
 const LATENT_INFLATION: f64 = 2.0;
 /// Evidence counts this much less than it says when it becomes a probability (calibrated on simulated trials).
 const PROBABILITY_SCALE: f64 = 4.0;
+/// Nothing is surer than this: no run of trials has been long enough to show a higher frequency.
+const MOST_SURE: f64 = 0.95;
 /// Coordinates are not known better than this: what the forward model leaves out.
 const MODEL_ERROR: f64 = 0.05;
 

@@ -75,10 +75,11 @@ fn candidate(
     if effect.nought().is_some() {
         return fit(frame, list, with(state, &all_starts[start]), subset, SMOOTH).ok();
     }
-    let few: Vec<usize> =
-        subset.iter().copied().step_by(subset.len().div_ceil(SCOUTED).max(1)).collect();
-    let scouts: Vec<State> =
-        states(state).iter().flat_map(|s| all_starts.iter().map(|c| with(s, c)).collect::<Vec<_>>()).collect();
+    let few: Vec<usize> = subset.iter().copied().step_by(subset.len().div_ceil(SCOUTED).max(1)).collect();
+    let scouts: Vec<State> = states(state)
+        .iter()
+        .flat_map(|s| all_starts.iter().map(|c| with(s, c)).collect::<Vec<_>>())
+        .collect();
     let best = scouts
         .into_iter()
         .filter_map(|s| fit(frame, list, s, &few, SCOUT).ok())

@@ -343,6 +343,8 @@ pub struct Score {
     pub right: bool,
     /// The main parameter is inside its interval, where the effect was named.
     pub covered: Option<bool>,
+    /// Ends of that interval relative to the truth, less 1.
+    pub interval: Option<[f64; 2]>,
     /// Closed fraction.
     pub closed_fraction: f64,
 }
@@ -370,12 +372,14 @@ pub fn score(answer: Answer, diagnosis: &Value) -> Score {
             verdict == "unexplained" || answer.effects.iter().any(|e| stage == stage_of(e))
         }
     };
-    let covered = effects.first().and_then(|e| {
+    let interval = effects.first().and_then(|e| {
         let name = text(&e["name"]);
         let (_, value) = answer.parameters.iter().find(|(n, _)| *n == name)?;
         let p = &e["parameters"][main_parameter(&name)];
-        Some(p["lower"].as_f64()? <= *value && *value <= p["upper"].as_f64()?)
+        let (a, b) = (p["lower"].as_f64()? / value - 1.0, p["upper"].as_f64()? / value - 1.0);
+        Some([a.min(b), a.max(b)])
     });
+    let covered = interval.map(|[l, u]| l <= 0.0 && 0.0 <= u);
     let floor = diagnosis["gap"]["noise_floor"].as_f64().unwrap_or(f64::NAN);
     Score {
         strength_to_floor: answer.strength / floor,
@@ -387,7 +391,44 @@ pub fn score(answer: Answer, diagnosis: &Value) -> Score {
         first_group,
         right,
         covered,
+        interval,
     }
+}
+
+/// Trials whose stated probability of the first effect is in a range.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Bin {
+    /// From, to.
+    pub range: (f64, f64),
+    /// Mean stated probability.
+    pub stated: f64,
+    /// Trials in which the first effect was there.
+    pub there: usize,
+    /// Trials.
+    pub of: usize,
+}
+
+/// Ends of the ranges of stated probability.
+const BINS: [(f64, f64); 4] = [(0.0, 0.5), (0.5, 0.75), (0.75, 0.9), (0.9, 1.01)];
+
+/// Reliability of the stated probabilities over all trials in which an effect was named.
+pub fn bins(scores: &[Score]) -> Vec<Bin> {
+    BINS.iter()
+        .map(|range| {
+            let of: Vec<&Score> = scores
+                .iter()
+                .filter(|s| !s.named.is_empty())
+                .filter(|s| s.probability >= range.0 && s.probability < range.1)
+                .collect();
+            let there = |s: &&&Score| s.answer.effects.contains(&s.named[0].as_str());
+            Bin {
+                range: *range,
+                stated: crate::signal::mean(&of.iter().map(|s| s.probability).collect::<Vec<_>>()),
+                there: of.iter().filter(there).count(),
+                of: of.len(),
+            }
+        })
+        .collect()
 }
 
 /// The parameter of an effect that a trial draws.

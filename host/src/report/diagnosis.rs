@@ -112,7 +112,10 @@ fn consequences(d: &Diagnosis) -> String {
         row("ballast outside, MN/m\u{b2}", &c.ballast_p1_n_m2, 1e-6),
         row("ballast under the crossing, MN/m\u{b2}", &c.ballast_p2_n_m2, 1e-6),
     ];
-    format!("<h2>What it changes</h2>\n{}", table(&["result", "without", "with the effects", "change"], &rows))
+    format!(
+        "<h2>What it changes</h2>\n{}",
+        table(&["result", "without", "with the effects", "change"], &rows)
+    )
 }
 
 fn remarks(d: &Diagnosis) -> String {

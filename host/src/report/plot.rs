@@ -12,7 +12,7 @@ use super::ReportError;
 const WIDTH: u32 = 1520;
 const FONT: &str = "sans-serif";
 const LABEL_SIZE: u32 = 34;
-const INK: RGBColor = RGBColor(60, 66, 72);
+pub(super) const INK: RGBColor = RGBColor(60, 66, 72);
 const GRID: RGBColor = RGBColor(226, 230, 234);
 
 pub(super) const BLUE: RGBColor = RGBColor(27, 94, 165);

@@ -104,7 +104,8 @@ impl Latent for HollowWheels {
 /// What a path deeper by its own depth and shifted by 1 m adds to a window: two columns.
 fn plain_columns(scene: &Scene, shapes: &[Vec<f64>; 2], passage: usize, axle: usize) -> Mat<f64> {
     let profile = &scene.responses[passage].profile[axle];
-    let coefficients = Mat::from_fn(profile.ncols(), 2, |j, c| if c == 0 { shapes[0][j] } else { -shapes[1][j] });
+    let coefficients =
+        Mat::from_fn(profile.ncols(), 2, |j, c| if c == 0 { shapes[0][j] } else { -shapes[1][j] });
     profile * &coefficients
 }
 
@@ -182,7 +183,8 @@ impl Mixture {
                 };
                 let sd = plain.sd[0].map(|s| 0.5 * s);
                 let n = sorted.len();
-                let split = [(&sorted[..n - count], &sorted[n - count..]), (&sorted[count..], &sorted[..count])];
+                let split =
+                    [(&sorted[..n - count], &sorted[n - count..]), (&sorted[count..], &sorted[..count])];
                 for (inner, outer) in split {
                     starts.push(Self { mean: [mean(inner), mean(outer)], sd: [sd; 2], share });
                 }

@@ -489,6 +489,8 @@ impl<'a> Session<'a> {
             if list[k].gain <= LEAST_GAIN {
                 break;
             }
+            // What was taken back is no alternative any more.
+            self.rank(&list[k..]);
             self.accept(&list[k..], &mut tried, &mut latent)?;
             if self.confirm(earlier)? {
                 return Ok(true);

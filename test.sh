@@ -41,4 +41,8 @@ cargo test --package cpcm-tests --test firmware -- --nocapture
 step "tests"
 cargo test --no-fail-fast
 
+step "blind trials: 20 withheld effects, scored"
+# With the profile that the tests are built with already.
+cargo run --package cpcm --bin cpcm -- blind-trial --seed 7 --trials 20 --check --out target/blind-trial
+
 printf '\nall checks passed\n'

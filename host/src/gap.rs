@@ -14,6 +14,8 @@ pub mod forward;
 pub mod latent;
 pub mod linear;
 pub mod measure;
+pub mod node_stage;
+pub mod receptance;
 pub mod results;
 pub mod select;
 pub mod splines;

@@ -11,6 +11,7 @@ use super::fit::{Fit, FitOptions, State, fit, simulate};
 use super::forward::Response;
 use super::latent::{Latent, LatentFit, Scene};
 use super::measure::{Gap, Prediction, measure, predictions};
+use super::node_stage::{NOTABLE, node_gap};
 use super::select::{Tried, gain, round};
 use super::split::{Split, split};
 use super::verdict::{Verdict, verdict};
@@ -75,6 +76,8 @@ pub struct Diagnosis {
     pub depends_on: Vec<&'static str>,
     /// Positions x of the front axle at which the base model is off, metres.
     pub position_m: Vec<[f64; 2]>,
+    /// Error that the node's codes, arithmetic and decimation alone make, RMS relative to the signal.
+    pub node_gap: Option<f64>,
     /// Predictions of the held-out passages.
     pub predictions: Vec<Prediction>,
     /// Cosines between the directions of effects after the base model has taken its share.
@@ -184,6 +187,13 @@ pub fn diagnose(
     }
     let mut out = session.conclude(&before, progress)?;
     out.skipped = site.skipped.len();
+    out.node_gap = node_gap(site);
+    if let Some(gap) = out.node_gap.filter(|g| *g > NOTABLE) {
+        out.remarks.push(format!(
+            "the node's own sampling and arithmetic would change the signal by {:.1} %; see whether its range fits",
+            100.0 * gap
+        ));
+    }
     out.seconds = clock.elapsed().as_secs_f64();
     Ok(out)
 }
@@ -772,6 +782,7 @@ impl<'a> Session<'a> {
             gap,
             depends_on,
             position_m,
+            node_gap: None,
             predictions: held_out,
             cosines: self.cosines,
             remarks: self.remarks,

@@ -1,0 +1,260 @@
+//! Receptance from an instrumented hammer: force and acceleration of several hits, H1 estimate with coherence.
+//!
+//! H1 = Σ conj(F) A / Σ |F|² is free of bias by noise in the acceleration; the coherence |Σ conj(F) A|² / (Σ|F|² Σ|A|²) says
+//! which part of the response comes from the force (Bendat and Piersol, Random Data, ch. 6). With one hit it is 1 whatever was
+//! measured, so one hit is refused; so is a band in which the hits do not agree or that the hammer did not excite.
+
+use std::path::Path;
+
+use faer::c64;
+
+use crate::recording::RecordingError;
+use crate::recording::files::read_bytes;
+use crate::signal::{rfft, rfft_frequencies_hz};
+
+/// One hit.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Hit {
+    /// Sampling rate, Hz.
+    pub rate_hz: f64,
+    /// Hammer force, newtons.
+    pub force_n: Vec<f64>,
+    /// Acceleration, m/s².
+    pub acceleration_m_s2: Vec<f64>,
+}
+
+/// Receptance over frequency.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Receptance {
+    /// Hz.
+    pub frequency_hz: Vec<f64>,
+    /// Displacement over force, m/N.
+    pub receptance_m_n: Vec<c64>,
+    /// 0 … 1.
+    pub coherence: Vec<f64>,
+}
+
+/// Why hits give no receptance.
+#[derive(Debug, thiserror::Error)]
+pub enum ReceptanceError {
+    /// No file.
+    #[error(transparent)]
+    File(#[from] RecordingError),
+    /// Not the expected table.
+    #[error("{file}, line {line}: expected time_s,force_n,acceleration_m_s2")]
+    Format {
+        /// Which file.
+        file: String,
+        /// Line, from 1.
+        line: usize,
+    },
+    /// Too few hits.
+    #[error("{hits} hit; coherence needs at least 2, better 5: it is 1 for one hit whatever was measured")]
+    Hits {
+        /// Number of hits.
+        hits: usize,
+    },
+    /// Hits that differ in rate.
+    #[error("hits at {first_hz} and {other_hz} Hz; all must have the same rate")]
+    Rates {
+        /// Rate of the first, Hz.
+        first_hz: f64,
+        /// Rate that differs, Hz.
+        other_hz: f64,
+    },
+    /// The hammer has no energy there.
+    #[error(
+        "the hammer excites {low_hz} … {high_hz} Hz too little: down to {decibel:.0} dB of its strongest; use a softer or heavier tip"
+    )]
+    NotExcited {
+        /// Asked band, Hz.
+        low_hz: f64,
+        /// Asked band, Hz.
+        high_hz: f64,
+        /// Weakest line over the strongest, dB.
+        decibel: f64,
+    },
+    /// The hits do not agree.
+    #[error(
+        "coherence is below {LEAST_COHERENCE} on {share:.0} % of {low_hz} … {high_hz} Hz (lowest {lowest:.2}); hit again, at one point, without double hits"
+    )]
+    Incoherent {
+        /// Asked band, Hz.
+        low_hz: f64,
+        /// Asked band, Hz.
+        high_hz: f64,
+        /// Part of the lines, %.
+        share: f64,
+        /// Lowest coherence.
+        lowest: f64,
+    },
+}
+
+/// Coherence that a line needs.
+pub const LEAST_COHERENCE: f64 = 0.8;
+/// Part of the lines of a band that may lack it: anti-resonances, where there is nothing to measure.
+const INCOHERENT_PART: f64 = 0.2;
+/// Weakest force in a band over its strongest line anywhere.
+const LEAST_FORCE: f64 = 0.03;
+
+/// Reads a hit from a table with the columns `time_s,force_n,acceleration_m_s2`, evenly sampled.
+pub fn read_hit(file: &Path) -> Result<Hit, ReceptanceError> {
+    let wrong = |line: usize| ReceptanceError::Format { file: file.display().to_string(), line };
+    let bytes = read_bytes(file)?;
+    let text = String::from_utf8_lossy(&bytes);
+    let mut lines = text.lines();
+    if lines.next().map(str::trim) != Some("time_s,force_n,acceleration_m_s2") {
+        return Err(wrong(1));
+    }
+    let rows: Vec<[f64; 3]> = lines
+        .enumerate()
+        .map(|(i, line)| {
+            let mut cells = line.split(',').map(|c| c.trim().parse::<f64>().ok().filter(|v| v.is_finite()));
+            let mut next = || cells.next().flatten().ok_or_else(|| wrong(i + 2));
+            Ok([next()?, next()?, next()?])
+        })
+        .collect::<Result<_, ReceptanceError>>()?;
+    let (Some(first), Some(last)) = (rows.first(), rows.last()) else { return Err(wrong(2)) };
+    let span_s = last[0] - first[0];
+    if rows.len() < 64 || span_s <= 0.0 {
+        return Err(wrong(rows.len() + 1));
+    }
+    Ok(Hit {
+        rate_hz: (rows.len() - 1) as f64 / span_s,
+        force_n: rows.iter().map(|r| r[1]).collect(),
+        acceleration_m_s2: rows.iter().map(|r| r[2]).collect(),
+    })
+}
+
+impl Receptance {
+    /// H1 estimate of all hits, lines below `high_hz`.
+    pub fn of_hits(hits: &[Hit], high_hz: f64) -> Result<Self, ReceptanceError> {
+        if hits.len() < 2 {
+            return Err(ReceptanceError::Hits { hits: hits.len() });
+        }
+        let first_hz = hits[0].rate_hz;
+        if let Some(other) = hits.iter().find(|h| (h.rate_hz / first_hz - 1.0).abs() > 1e-6) {
+            return Err(ReceptanceError::Rates { first_hz, other_hz: other.rate_hz });
+        }
+        let n = hits.iter().map(|h| h.force_n.len()).max().unwrap_or(0).next_power_of_two();
+        let spectrum = |values: &[f64]| {
+            // The record begins and ends at rest but for the offset of the amplifiers.
+            let offset = crate::signal::quantile(values, 0.5);
+            let mut padded: Vec<f64> = values.iter().map(|v| v - offset).collect();
+            padded.resize(n, 0.0);
+            rfft(&padded)
+        };
+        let lines: Vec<f64> =
+            rfft_frequencies_hz(n, first_hz).into_iter().filter(|f| *f > 0.0 && *f <= high_hz).collect();
+        let mut sums = vec![(c64::new(0.0, 0.0), 0.0, 0.0); lines.len()];
+        for hit in hits {
+            let (force, response) = (spectrum(&hit.force_n), spectrum(&hit.acceleration_m_s2));
+            for (k, sum) in sums.iter_mut().enumerate() {
+                let (f, a) = (force[k + 1], response[k + 1]);
+                *sum = (sum.0 + f.conj() * a, sum.1 + f.norm_sqr(), sum.2 + a.norm_sqr());
+            }
+        }
+        let strongest = sums.iter().map(|s| s.1).fold(0.0, f64::max);
+        let weakest = sums.iter().map(|s| s.1).fold(f64::INFINITY, f64::min);
+        if weakest < LEAST_FORCE * LEAST_FORCE * strongest {
+            let decibel = 10.0 * (weakest / strongest).log10();
+            return Err(ReceptanceError::NotExcited { low_hz: 0.0, high_hz, decibel });
+        }
+        let receptance = |(f, s): (&f64, &(c64, f64, f64))| {
+            let omega = std::f64::consts::TAU * f;
+            s.0 / s.1 * (-1.0 / (omega * omega))
+        };
+        Ok(Self {
+            receptance_m_n: lines.iter().zip(&sums).map(receptance).collect(),
+            coherence: sums.iter().map(|s| s.0.norm_sqr() / (s.1 * s.2).max(f64::MIN_POSITIVE)).collect(),
+            frequency_hz: lines,
+        })
+    }
+
+    /// The part between two frequencies, if the hits agree there.
+    pub fn trusted(&self, [low_hz, high_hz]: [f64; 2]) -> Result<Self, ReceptanceError> {
+        let inside: Vec<usize> = (0..self.frequency_hz.len())
+            .filter(|k| self.frequency_hz[*k] >= low_hz && self.frequency_hz[*k] <= high_hz)
+            .collect();
+        let poor = inside.iter().filter(|k| self.coherence[**k] < LEAST_COHERENCE).count();
+        let share = poor as f64 / inside.len().max(1) as f64;
+        if inside.is_empty() || share > INCOHERENT_PART {
+            let lowest = inside.iter().map(|k| self.coherence[*k]).fold(1.0, f64::min);
+            return Err(ReceptanceError::Incoherent { low_hz, high_hz, share: 100.0 * share, lowest });
+        }
+        Ok(Self {
+            frequency_hz: inside.iter().map(|k| self.frequency_hz[*k]).collect(),
+            receptance_m_n: inside.iter().map(|k| self.receptance_m_n[*k]).collect(),
+            coherence: inside.iter().map(|k| self.coherence[*k]).collect(),
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A mass on a spring and damper, hit by half-sines of different strength.
+    fn oscillator(strength: f64, noise: f64, seed: u64) -> Hit {
+        let (rate, n) = (4000.0, 4096);
+        let (mass, stiffness, damping) = (10.0, 10.0 * (std::f64::consts::TAU * 60.0).powi(2), 400.0);
+        let mut random = crate::passage::random::Random::new(seed, 0);
+        let force: Vec<f64> = (0..n)
+            .map(|k| if k < 8 { strength * (std::f64::consts::PI * k as f64 / 8.0).sin() } else { 0.0 })
+            .collect();
+        // Spectrum times the known accelerance, so that nothing but the estimate is tested.
+        let mut spectrum = rfft(&force);
+        for (value, f) in spectrum.iter_mut().zip(rfft_frequencies_hz(n, rate)) {
+            let omega = std::f64::consts::TAU * f;
+            *value *=
+                c64::new(-omega * omega, 0.0) / c64::new(stiffness - mass * omega * omega, damping * omega);
+        }
+        let response = crate::signal::irfft(&spectrum, n);
+        let acceleration_m_s2 = response.iter().map(|a| a + noise * random.normal()).collect();
+        Hit { rate_hz: rate, force_n: force, acceleration_m_s2 }
+    }
+
+    #[test]
+    fn analytic_receptance_of_an_oscillator() {
+        let hits: Vec<Hit> = (0..4).map(|i| oscillator(1000.0 + 200.0 * i as f64, 0.0, i)).collect();
+        let found = Receptance::of_hits(&hits, 250.0).unwrap().trusted([10.0, 200.0]).unwrap();
+        let k = found.frequency_hz.iter().position(|f| *f > 60.0).unwrap();
+        let omega = std::f64::consts::TAU * found.frequency_hz[k];
+        let stiffness = 10.0 * (std::f64::consts::TAU * 60.0).powi(2);
+        let exact = c64::new(1.0, 0.0) / c64::new(stiffness - 10.0 * omega * omega, 400.0 * omega);
+        assert!((found.receptance_m_n[k] / exact - 1.0).norm() < 1e-2);
+        assert!(found.coherence.iter().all(|c| *c > 0.999));
+    }
+
+    #[test]
+    fn property_noise_one_hit_and_other_rates_are_refused() {
+        let noisy: Vec<Hit> = (0..3).map(|i| oscillator(20.0, 5.0, i)).collect();
+        let error = Receptance::of_hits(&noisy, 250.0).unwrap().trusted([10.0, 200.0]).unwrap_err();
+        assert!(matches!(error, ReceptanceError::Incoherent { .. }), "{error}");
+        assert!(matches!(Receptance::of_hits(&noisy[..1], 250.0), Err(ReceptanceError::Hits { hits: 1 })));
+        let mut other = noisy.clone();
+        other[1].rate_hz = 2000.0;
+        assert!(matches!(Receptance::of_hits(&other, 250.0), Err(ReceptanceError::Rates { .. })));
+    }
+
+    /// Two measured hits on a beam (tests/data/hammer-beam): its first modes, 695.6 and 1897.9 Hz.
+    #[test]
+    fn reference_modes_of_a_measured_beam() {
+        let dir = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/data/hammer-beam");
+        let hits = ["acceleration.csv", "camera.csv"].map(|f| read_hit(&dir.join(f)).unwrap());
+        let found = Receptance::of_hits(&hits, 2500.0).unwrap();
+        let peak = |low: f64, high: f64| {
+            let lines = (0..found.frequency_hz.len())
+                .filter(|k| found.frequency_hz[*k] > low && found.frequency_hz[*k] < high);
+            let size = |k: &usize| found.frequency_hz[*k].powi(2) * found.receptance_m_n[*k].norm();
+            lines.max_by(|a, b| size(a).total_cmp(&size(b))).map(|k| found.frequency_hz[k]).unwrap()
+        };
+        // A line is 1.5 Hz wide.
+        assert!((peak(500.0, 1000.0) - 695.6).abs() < 3.0, "{}", peak(500.0, 1000.0));
+        assert!((peak(1500.0, 2300.0) - 1897.9).abs() < 3.0, "{}", peak(1500.0, 2300.0));
+        // Between two modes the sensor hardly moves, and the hits do not agree: it is refused with a number, not given as a receptance.
+        assert!(found.trusted([690.0, 702.0]).is_ok());
+        let low = found.trusted([1100.0, 1400.0]);
+        assert!(matches!(low, Err(ReceptanceError::Incoherent { .. })), "{low:?}");
+    }
+}

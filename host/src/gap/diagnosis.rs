@@ -40,7 +40,8 @@ pub struct Named {
     pub parameters: Vec<(&'static str, f64, f64, f64)>,
     /// Effects that the recordings cannot tell from it.
     pub indistinguishable_from: Vec<&'static str>,
-    /// What it took off the residual of the training passages, RMS relative to the wheels' scatter.
+    /// What it took off the residual of the training passages, RMS: of the acceleration relative to the wheels' scatter, or
+    /// half of that of the displacement relative to what is left, whichever is more.
     pub gained: f64,
 }
 
@@ -245,7 +246,7 @@ fn displacement_share(scene: &Scene, found: &LatentFit) -> f64 {
 
 /// A model before the last effect.
 struct Confirmed {
-    squares: f64,
+    squares: [f64; 3],
     named: usize,
     accepted: usize,
     fit: Option<Fit>,
@@ -444,7 +445,7 @@ impl<'a> Session<'a> {
         for number in self.named.len()..MOST_EFFECTS {
             progress.begin(&format!("effects, round {}", number + 1), 2);
             let earlier = Confirmed {
-                squares: self.current_squares()?.0,
+                squares: self.current_squares()?,
                 named: self.named.len(),
                 accepted: self.accepted.len(),
                 fit: self.fit.clone(),
@@ -661,33 +662,33 @@ impl<'a> Session<'a> {
         Ok(())
     }
 
-    /// Squares of the residual of the training passages, and of the wheels' scatter, with the current model.
-    fn current_squares(&self) -> Result<(f64, f64), GapError> {
-        let state = self.state();
+    /// Squares of the residual of the training passages with the current model, relative to the signal: acceleration and
+    /// displacement, and the acceleration's part that differs from bogie to bogie.
+    fn current_squares(&self) -> Result<[f64; 3], GapError> {
         let frame = &self.base.frame;
-        let world = state.world(frame, &self.accepted);
+        let world = self.state().world(frame, &self.accepted);
         let train = &self.split.train;
         let responses = simulate(&world, frame, train)?;
-        let (mut all, mut own) = (0.0, 0.0);
+        let latent: Vec<&LatentFit> = self.latent_fits.iter().map(|(_, f)| f).collect();
+        let mut sums = [0.0; 3];
         for (i, r) in train.iter().zip(&responses) {
-            let o = &frame.observed[*i];
-            let gain = world.sensor.gain_at(o.temperature_c);
-            let late = o.lag(r, gain, ALIGN_M / o.speed_m_s);
-            let windows = o.window_residuals(r, gain, late);
-            let k = windows.len() as f64;
-            let sum: f64 = windows.iter().flatten().map(|v| v * v).sum();
-            let mean: f64 = super::data::mean_of(&windows).iter().map(|v| v * v).sum();
-            all += sum;
-            own += (sum - k * mean) * k / (k - 1.0).max(1.0);
+            let p = super::measure::prediction(frame, *i, (&world, r), &latent);
+            let parts = super::measure::residual_squares(&p);
+            sums.iter_mut().zip(parts).for_each(|(s, v)| *s += v / train.len() as f64);
         }
-        Ok((all, own))
+        Ok(sums)
     }
 
     /// Whether the effect accepted last takes enough off the residual; if not, it is taken back.
     fn confirm(&mut self, earlier: &Confirmed) -> Result<bool, GapError> {
-        let (all, own) = self.current_squares()?;
+        let [acceleration, displacement, own] = self.current_squares()?;
         let Some(last) = self.named.last_mut() else { return Ok(true) };
-        last.gained = ((earlier.squares - all).max(0.0) / own.max(f64::MIN_POSITIVE)).sqrt();
+        let part = |before: f64, now: f64, floor: f64| {
+            ((before - now).max(0.0) / floor.max(f64::MIN_POSITIVE)).sqrt()
+        };
+        // The displacement has no floor of its own; half of what it gains counts.
+        last.gained = part(earlier.squares[0], acceleration, own)
+            .max(0.5 * part(earlier.squares[1], displacement, displacement));
         // The operator's speeds speak for a wrong clock, not the residual; effects of single wheels have their own rule.
         let least = if earlier.named == 0 { LEAST_GAINED.0 } else { LEAST_GAINED.1 };
         if last.gained >= least || last.stage == Stage::Timing || self.accepted.len() == earlier.accepted {

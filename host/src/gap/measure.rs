@@ -58,37 +58,56 @@ pub fn predictions(
 ) -> Vec<Prediction> {
     (0..frame.observed.len())
         .into_par_iter()
-        .map(|i| {
-            let o = &frame.observed[i];
-            let (start_s, measured) = o.trace();
-            let train = |(world, responses): (&World, &[Response])| {
-                let gain = world.sensor.gain_at(o.temperature_c);
-                let late = o.lag(&responses[i], gain, ALIGN_M / o.speed_m_s);
-                let bogies: Vec<f64> = o.bogie_s().iter().map(|b| b + late).collect();
-                let mut out = vec![0.0; measured.len()];
-                responses[i].add_train(&bogies, gain, start_s - o.first_axle_s, 1.0 / RATE_HZ, &mut out);
-                out
-            };
-            let (base, mut corrected) = (train(before), train(after));
-            for fit in latent {
-                corrected.iter_mut().zip(&fit.traces[i]).for_each(|(c, t)| *c += t);
-            }
-            let first =
-                |b: &f64| (((o.first_axle_s + b + o.first_s - start_s) * RATE_HZ).round().max(0.0)) as usize;
-            let windows = (o.bogie_s().iter().map(first).collect(), o.mean.len());
-            let acceleration = [measured, base, corrected];
-            let displacement = acceleration.each_ref().map(|a| displacement(a));
-            let first_m = o.first_s * o.speed_m_s;
-            Prediction {
-                passage_id: o.passage_id,
-                speed_m_s: o.speed_m_s,
-                acceleration,
-                displacement,
-                windows,
-                first_m,
-            }
-        })
+        .map(|i| both(frame, i, (before.0, &before.1[i]), (after.0, &after.1[i]), latent))
         .collect()
+}
+
+/// Prediction of one passage by one model, which stands for both.
+pub fn prediction(frame: &Frame, i: usize, model: (&World, &Response), latent: &[&LatentFit]) -> Prediction {
+    both(frame, i, model, model, latent)
+}
+
+/// Squares of the corrected model's residual over those of the signal: acceleration, displacement, and the part of the
+/// acceleration that differs from bogie to bogie.
+pub fn residual_squares(p: &Prediction) -> [f64; 3] {
+    let [a, d] = squares(p, None);
+    let ratio = |q: &Squares, k: usize| q[k] / q[0].max(f64::MIN_POSITIVE);
+    [ratio(&a, 2), ratio(&d, 2), ratio(&a, 3)]
+}
+
+fn both(
+    frame: &Frame,
+    i: usize,
+    before: (&World, &Response),
+    after: (&World, &Response),
+    latent: &[&LatentFit],
+) -> Prediction {
+    let o = &frame.observed[i];
+    let (start_s, measured) = o.trace();
+    let train = |(world, response): (&World, &Response)| {
+        let gain = world.sensor.gain_at(o.temperature_c);
+        let late = o.lag(response, gain, ALIGN_M / o.speed_m_s);
+        let bogies: Vec<f64> = o.bogie_s().iter().map(|b| b + late).collect();
+        let mut out = vec![0.0; measured.len()];
+        response.add_train(&bogies, gain, start_s - o.first_axle_s, 1.0 / RATE_HZ, &mut out);
+        out
+    };
+    let (base, mut corrected) = (train(before), train(after));
+    for fit in latent {
+        corrected.iter_mut().zip(&fit.traces[i]).for_each(|(c, t)| *c += t);
+    }
+    let first = |b: &f64| (((o.first_axle_s + b + o.first_s - start_s) * RATE_HZ).round().max(0.0)) as usize;
+    let windows = (o.bogie_s().iter().map(first).collect(), o.mean.len());
+    let acceleration = [measured, base, corrected];
+    let displacement = acceleration.each_ref().map(|a| displacement(a));
+    Prediction {
+        passage_id: o.passage_id,
+        speed_m_s: o.speed_m_s,
+        acceleration,
+        displacement,
+        windows,
+        first_m: o.first_s * o.speed_m_s,
+    }
 }
 
 /// Sums of squares of one passage in one band: measured, base residual, corrected residual, floor.

@@ -530,7 +530,8 @@ impl<'a> Session<'a> {
             .fold(self.inflation(reference), f64::min);
         let common = tried.iter().map(|t| {
             let (gain, full) = match &t.fit {
-                Some(f) => (f.log_evidence - reference.log_evidence, true),
+                // A strength at the end of its range is no strength but a fit that found no other way.
+                Some(f) => (f.log_evidence - reference.log_evidence, inside_ranges(t.effect, f)),
                 None => (t.screened.min(LEAST_GAIN), false),
             };
             let misfit_gain = t.fit.as_ref().map_or(0.0, |f| f.log_posterior - reference.log_posterior);
@@ -825,6 +826,17 @@ const PROBABILITY_SCALE: f64 = 4.0;
 const MOST_SURE: f64 = 0.95;
 /// Coordinates are not known better than this: what the forward model leaves out.
 const MODEL_ERROR: f64 = 0.05;
+
+/// Whether the last effect of a fit is away from the ends of its ranges.
+fn inside_ranges(effect: &dyn Effect, fit: &Fit) -> bool {
+    let Some(coordinates) = fit.state.effects.last() else { return true };
+    effect
+        .parameters()
+        .iter()
+        .zip(coordinates)
+        .filter(|(p, _)| !p.nuisance)
+        .all(|(p, c)| *c > p.range[0] + 1e-9 && *c < p.range[1] - 1e-9)
+}
 
 fn squares(m: &faer::Mat<f64>) -> f64 {
     m.col_as_slice(0).iter().map(|v| v * v).sum()

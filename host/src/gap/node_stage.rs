@@ -1,8 +1,9 @@
 //! The node as a stage of its own in the substitution ladder: sensor codes, f32 arithmetic and decimation against the same
 //! recording in f64 with an ideal low-pass.
 //!
-//! What this leaves is in every result of the node and in none of the host, whatever the model. Measured on field recordings:
-//! 1 to 2 parts in a thousand, the ripple of the decimation filter.
+//! What this leaves is in every result of the node and in none of the host, whatever the model. Measured on reference-1:
+//! 1.4 % of the signal. The ripple of the decimation filter explains 0.5 % of it; the rest, probably its transition next to
+//! 250 Hz, has not been taken apart.
 
 use cpcm_shared::decimate::{DECIMATION, DELAY_SAMPLES, Decimator, PASS_HZ, TAPS_LEN};
 use cpcm_shared::sample::{RAW_RATE_HZ, SensorCode};
@@ -52,16 +53,13 @@ mod tests {
     use super::*;
     use std::path::Path;
 
-    /// The ripple of the decimation filter is 5e-3 at most; everything else is far below.
-    const RIPPLE: f64 = 6e-3;
-
     #[test]
-    fn reference_node_stage_is_the_ripple_of_its_filter() {
+    fn reference_node_stage_is_small_within_its_range_and_shows_clipping() {
         let dir = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/data/field/reference-1");
         let mut site = crate::recording::read_site(&dir).unwrap();
         site.passages.truncate(3);
         let gap = node_gap(&site).unwrap();
-        assert!(gap > 1e-5 && gap < RIPPLE, "{gap}");
+        assert!(gap > 1e-5 && gap < NOTABLE, "{gap}");
         // A recording beyond the node's range of 40 g: its clipping shows here.
         for a in site.passages.iter_mut().flat_map(|p| &mut p.acceleration_m_s2) {
             *a *= 20.0;

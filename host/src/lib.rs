@@ -27,6 +27,7 @@ pub mod pipeline;
 pub mod progress;
 pub mod scoring;
 pub mod verification;
+pub mod study;
 pub mod results;
 pub mod report;
 pub mod bench;

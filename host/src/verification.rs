@@ -8,7 +8,7 @@ mod passages;
 mod receptance;
 pub mod reference;
 mod site;
-mod tolerance;
+pub(crate) mod tolerance;
 
 pub use site::{SiteMethods, site_methods};
 
@@ -161,12 +161,12 @@ impl Case {
 }
 
 impl Table {
-    fn new(title: &str, note: &str, columns: &[&str]) -> Self {
+    pub(crate) fn new(title: &str, note: &str, columns: &[&str]) -> Self {
         let columns = columns.iter().map(|c| c.to_string()).collect();
         Self { title: title.into(), note: note.into(), columns, rows: Vec::new() }
     }
 
-    fn row(&mut self, cells: &[String]) {
+    pub(crate) fn row(&mut self, cells: &[String]) {
         self.rows.push(cells.to_vec());
     }
 }

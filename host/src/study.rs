@@ -4,10 +4,16 @@
 //! draws.
 
 pub mod bogie;
+pub mod kernels;
 pub mod lowpass;
 pub mod panels;
+pub mod samples;
+pub mod simulation;
 
+use crate::inverse::displacement::DisplacementError;
 use crate::passage::SimulationError;
+use crate::scenario::ScenarioError;
+use crate::verification::VerifyError;
 
 /// Why a study cannot be made.
 #[derive(Debug, thiserror::Error)]
@@ -15,4 +21,16 @@ pub enum StudyError {
     /// Simulation of a bogie.
     #[error(transparent)]
     Simulation(#[from] SimulationError),
+    /// Force from displacement.
+    #[error(transparent)]
+    Displacement(#[from] DisplacementError),
+    /// Simulation of a site.
+    #[error(transparent)]
+    Scenario(#[from] ScenarioError),
+    /// Analysis of a simulated site.
+    #[error(transparent)]
+    Verify(#[from] VerifyError),
+    /// A simulation left nothing to work on.
+    #[error("the {0} is empty")]
+    Empty(&'static str),
 }

@@ -10,7 +10,7 @@ pub mod reference;
 mod site;
 pub(crate) mod tolerance;
 
-pub use site::{SiteMethods, site_methods};
+pub use site::{SiteAnalyses, SiteMethods, site_analyses, site_methods};
 
 use crate::greens::GreensError;
 use crate::inverse::displacement::DisplacementError;

@@ -11,13 +11,14 @@ use super::progress::Bar;
 use crate::recording::files::{create_dir, write_atomic};
 use crate::report::study::{self as draw, NamedSvg};
 use crate::report::verification::table_text;
-use crate::study::lowpass;
+use crate::study::{kernels, lowpass, samples, simulation};
 use crate::verification::Table;
 
 /// Repeat a study of the paper on simulated panels
 ///
 /// Prints what this program finds beside what the paper says, and writes the same as Markdown with the figures as SVG.
-/// lowpass: the wavelength that separates quasi-static from dynamic displacement (eq. 3, fig. 9).
+/// lowpass: the wavelength that separates quasi-static from dynamic displacement (eq. 3, fig. 9). crossings: Green's
+/// functions, forces and irregularities of six panels (fig. 11, 12, 15 to 21).
 #[derive(Args)]
 #[command(after_help = "Example:\n  cpcm study lowpass --out docs/figures")]
 pub(super) struct StudyArgs {
@@ -35,12 +36,15 @@ pub(super) struct StudyArgs {
 enum Study {
     /// Cut-off of the low-pass of eq. 2
     Lowpass,
+    /// Six crossing panels through the whole chain
+    Crossings,
 }
 
 impl Study {
     fn name(self) -> &'static str {
         match self {
             Study::Lowpass => "lowpass",
+            Study::Crossings => "crossings",
         }
     }
 
@@ -51,8 +55,23 @@ impl Study {
                 let study = lowpass::run(&bar)?;
                 Ok((study.tables(), draw::lowpass(&study)?))
             }
+            Study::Crossings => crossings(&bar),
         }
     }
+}
+
+fn crossings(bar: &Bar) -> anyhow::Result<(Vec<Table>, Vec<NamedSvg>)> {
+    let greens = kernels::run();
+    let bogies = simulation::run(bar)?;
+    let sites = samples::run(bar)?;
+    let tables = vec![
+        kernels::table(&greens),
+        simulation::table(&bogies),
+        samples::table(&sites),
+        samples::indicator_table(&sites),
+    ];
+    let figures = [draw::greens(&greens)?, draw::simulation(&bogies)?, draw::samples(&sites)?].concat();
+    Ok((tables, figures))
 }
 
 impl StudyArgs {

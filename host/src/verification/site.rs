@@ -5,7 +5,8 @@ mod chain;
 
 use self::chain::{Chains, DisplacementChain};
 use super::{Table, VerifyError};
-use crate::analysis::Interval;
+use crate::analysis::{Analysis, Interval};
+use crate::ballast::BallastParameters;
 use crate::identify::identify;
 use crate::pipeline::{PipelineError, evaluate};
 use crate::progress::Progress;
@@ -28,22 +29,40 @@ const PAPER: &str = "paper: high-pass, quasi-static calibration, pseudo-inverse,
 const BETWEEN: &str =
     "quasi-static calibration, model below 3 Hz, f \u{2212} Q, truncated SVD, GCV, per wheelset";
 
-/// Analyses a site by all methods and scores them.
-pub fn site_methods(site: &Site, truth: &Truth, progress: &dyn Progress) -> Result<SiteMethods, VerifyError> {
+/// One site analysed by all methods.
+pub struct SiteAnalyses {
+    /// Method and its analysis; this program's comes first, the paper's chain second. The others differ from the first in
+    /// forces, displacement and irregularity only.
+    pub methods: Vec<(&'static str, Analysis)>,
+    /// Ballast of the other methods: quasi-static fit (eq. 2).
+    pub quasi_static: BallastParameters,
+}
+
+/// Analyses a site by all methods.
+pub fn site_analyses(site: &Site, progress: &dyn Progress) -> Result<SiteAnalyses, VerifyError> {
     let identified = identify(site, progress).map_err(PipelineError::from)?;
     let analysis = evaluate(&identified, progress)?;
-    let mut methods = vec![(OURS, score(&analysis, truth))];
     let chain = DisplacementChain::new(&identified)?;
+    let mut others = Vec::new();
     for (name, kind) in [(PAPER, Chains::Paper), (BETWEEN, Chains::Between)] {
         progress.begin("force from displacement", site.passages.len() as u64);
-        methods.push((name, score(&chain.analysis(&analysis, kind, progress)?, truth)));
+        others.push((name, chain.analysis(&analysis, kind, progress)?));
     }
-    let p = identified.quasi_static.parameters;
+    let mut methods = vec![(OURS, analysis)];
+    methods.append(&mut others);
+    Ok(SiteAnalyses { methods, quasi_static: identified.quasi_static.parameters })
+}
+
+/// Analyses a site by all methods and scores them.
+pub fn site_methods(site: &Site, truth: &Truth, progress: &dyn Progress) -> Result<SiteMethods, VerifyError> {
+    let all = site_analyses(site, progress)?;
+    let p = all.quasi_static;
     let point = |value: f64| Interval { value, lower: f64::NAN, upper: f64::NAN };
+    let analysis = all.methods.first().map(|m| &m.1).ok_or(VerifyError::Empty("list of methods"))?;
     let b = &analysis.ballast;
     Ok(SiteMethods {
         site: analysis.crossing.name.clone(),
-        methods,
+        methods: all.methods.iter().map(|(name, a)| (*name, score(a, truth))).collect(),
         ballast: [[b.p1_n_m2, b.p2_n_m2, b.p3], [point(p.p1_n_m2), point(p.p2_n_m2), point(p.p3)]],
     })
 }

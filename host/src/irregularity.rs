@@ -5,7 +5,7 @@ use faer::Mat;
 use crate::forces::{LOW_PASS_HZ, WheelForce};
 use crate::greens::moving_response::RailGreens;
 use crate::recording::Vehicle;
-use crate::signal::{CubicSpline, brick_band};
+use crate::signal::{CubicSpline, brick_band, resample};
 
 /// Longest wavelength kept, metres (paper, section 5): double integration over a few metres drifts beyond it.
 pub const LONGEST_WAVELENGTH_M: f64 = 1.0;
@@ -85,9 +85,22 @@ fn without_cubic(values: &[f64]) -> Vec<f64> {
     out
 }
 
-/// Interpolates values given in the order of passing onto ascending positions.
+/// Interpolates values given at equidistant positions in the order of passing onto ascending positions, band-limited: at
+/// 250 Hz and 800 samples per second a cubic spline alone would lose 5 %.
 pub fn on_grid(position_m: &[f64], values: &[f64], grid_m: &[f64]) -> Vec<f64> {
-    let (mut x, mut y) = (position_m.to_vec(), values.to_vec());
+    let n = values.len();
+    let (Some(first), Some(last)) = (position_m.first(), position_m.last()) else {
+        return vec![0.0; grid_m.len()];
+    };
+    // The straight line between the ends is taken out, so that the periodic continuation has no step.
+    let line = |u: f64| values[0] + (values[n - 1] - values[0]) * u;
+    let parts = (n - 1).max(1) as f64;
+    let bent: Vec<f64> = values.iter().enumerate().map(|(i, v)| v - line(i as f64 / parts)).collect();
+    let fine = resample(&bent, FINER * n);
+    let step = (last - first) / parts / FINER as f64;
+    let kept = FINER * (n - 1) + 1;
+    let mut x: Vec<f64> = (0..kept).map(|i| first + i as f64 * step).collect();
+    let mut y: Vec<f64> = (0..kept).map(|i| fine[i] + line(i as f64 / (FINER as f64 * parts))).collect();
     if x.first() > x.last() {
         x.reverse();
         y.reverse();
@@ -97,6 +110,9 @@ pub fn on_grid(position_m: &[f64], values: &[f64], grid_m: &[f64]) -> Vec<f64> {
         None => vec![0.0; grid_m.len()],
     }
 }
+
+/// Rate at which values are interpolated by splines, relative to that at which they are given.
+const FINER: usize = 4;
 
 #[cfg(test)]
 mod tests {
@@ -116,5 +132,17 @@ mod tests {
         let worst = (0..400).map(|k| (found[k] - path(k as f64 * dt)).abs()).fold(0.0, f64::max);
         assert!(worst < 2e-3, "{worst}");
         assert!(twice_integrated(&[1.0], dt) == [0.0] && twice_integrated(&[], dt).is_empty());
+    }
+
+    #[test]
+    fn analytic_a_wave_of_250_hz_survives_the_grid() {
+        // 800 samples per second at 40 m/s, a wave of 250 Hz under a smooth hump.
+        let x: Vec<f64> = (-80..=80).map(|i| f64::from(i) * 0.05).collect();
+        let wave = |x: f64| (-0.5 * x * x).exp() * (std::f64::consts::TAU * 250.0 / 40.0 * x).cos() + 0.3 * x;
+        let values: Vec<f64> = x.iter().map(|x| wave(*x)).collect();
+        let grid: Vec<f64> = (-150..=150).map(|i| f64::from(i) * 0.01).collect();
+        for (found, x) in on_grid(&x, &values, &grid).iter().zip(&grid) {
+            assert!((found - wave(*x)).abs() < 0.002, "at {x} m: {found} instead of {}", wave(*x));
+        }
     }
 }

@@ -3,6 +3,7 @@
 //! Six panels ([`panels`]) stand for those of the paper; a study returns tables, and curves that [`crate::report::study`]
 //! draws.
 
+pub mod assumptions;
 pub mod bogie;
 pub mod kernels;
 pub mod lowpass;
@@ -30,6 +31,9 @@ pub enum StudyError {
     /// Analysis of a simulated site.
     #[error(transparent)]
     Verify(#[from] VerifyError),
+    /// The scan of a simulated path cannot be written.
+    #[error("cannot write a temporary scan: {0}")]
+    Scan(#[from] std::io::Error),
     /// A simulation left nothing to work on.
     #[error("the {0} is empty")]
     Empty(&'static str),

@@ -11,14 +11,14 @@ use super::progress::Bar;
 use crate::recording::files::{create_dir, write_atomic};
 use crate::report::study::{self as draw, NamedSvg};
 use crate::report::verification::table_text;
-use crate::study::{kernels, lowpass, samples, simulation};
+use crate::study::{assumptions, kernels, lowpass, samples, simulation};
 use crate::verification::Table;
 
 /// Repeat a study of the paper on simulated panels
 ///
 /// Prints what this program finds beside what the paper says, and writes the same as Markdown with the figures as SVG.
 /// lowpass: the wavelength that separates quasi-static from dynamic displacement (eq. 3, fig. 9). crossings: Green's
-/// functions, forces and irregularities of six panels (fig. 11, 12, 15 to 21).
+/// functions, forces and irregularities of six panels (fig. 11, 12, 15 to 21). assumptions: what each costs when broken.
 #[derive(Args)]
 #[command(after_help = "Example:\n  cpcm study lowpass --out docs/figures")]
 pub(super) struct StudyArgs {
@@ -38,6 +38,8 @@ enum Study {
     Lowpass,
     /// Six crossing panels through the whole chain
     Crossings,
+    /// Assumptions of the inverse broken one by one
+    Assumptions,
 }
 
 impl Study {
@@ -45,6 +47,7 @@ impl Study {
         match self {
             Study::Lowpass => "lowpass",
             Study::Crossings => "crossings",
+            Study::Assumptions => "assumptions",
         }
     }
 
@@ -56,6 +59,10 @@ impl Study {
                 Ok((study.tables(), draw::lowpass(&study)?))
             }
             Study::Crossings => crossings(&bar),
+            Study::Assumptions => {
+                let all = assumptions::run(&bar)?;
+                Ok((vec![assumptions::bogie_table(&all), assumptions::site_table(&all)], Vec::new()))
+            }
         }
     }
 }

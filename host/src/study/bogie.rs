@@ -4,8 +4,8 @@ use super::StudyError;
 use crate::ballast::BallastParameters;
 use crate::passage::contact::ContactLaw;
 use crate::passage::{
-    Journey, PassageRecord, Profile, RunningSurface, SLEEPER_MODES, Start, Stepper, Support, TimeStep,
-    TrackModel, Train, VehicleUnit, Wheel, run,
+    Journey, PassageRecord, Profile, RunningSurface, SLEEPER_MODES, Start, Stepper, Support, SupportLaw,
+    TimeStep, TrackModel, Train, VehicleUnit, Wheel, run,
 };
 use crate::recording::Crossing;
 use crate::track::{Mesh, Track};
@@ -35,13 +35,28 @@ pub struct BogieRun {
 impl BogieTrack {
     /// Track of a panel on linear ballast.
     pub fn new(crossing: &Crossing, ballast: &BallastParameters) -> Result<Self, StudyError> {
+        Self::with_voids(crossing, ballast, &[])
+    }
+
+    /// The same with gaps under sleepers: (sleeper counted from the crossing sleeper, metres).
+    pub fn with_voids(
+        crossing: &Crossing,
+        ballast: &BallastParameters,
+        voids: &[(i64, f64)],
+    ) -> Result<Self, StudyError> {
         let track = Track::of_crossing(crossing, MESH);
         let damping = crossing.ballast.damping_ns_m2;
-        let supports = ballast
+        let mut supports: Vec<Support> = ballast
             .distribution(track.sleeper_x_m.len(), track.sensor_sleeper)
             .into_iter()
             .map(|k| Support::linear(k, damping))
             .collect();
+        for (offset, gap_m) in voids {
+            let sleeper = usize::try_from(track.sensor_sleeper as i64 + offset).ok();
+            if let Some(support) = sleeper.and_then(|k| supports.get_mut(k)) {
+                support.law = SupportLaw::Unilateral { gap_m: *gap_m, preload_n_m: 0.0 };
+            }
+        }
         let model = TrackModel::new(&track, supports, SLEEPER_MODES)?;
         Ok(Self { crossing: crossing.clone(), stepper: Stepper::new(model, TimeStep::default())? })
     }
@@ -49,6 +64,19 @@ impl BogieTrack {
     /// A bogie in the direction of traffic; `path` is what its wheels meet on the crossing side. Contact forces are kept
     /// everywhere on the track.
     pub fn run(&self, path: &Profile, speed_m_s: f64) -> Result<BogieRun, StudyError> {
+        let v = &self.crossing.vehicle;
+        let wheel = Wheel::nominal(static_wheel_force_n(v.axle_load_kg, v.gravity_m_s2));
+        let surface = RunningSurface { paths: vec![path.clone()], ..RunningSurface::level() };
+        self.run_wheels(&surface, std::array::from_fn(|_| wheel.clone()), speed_m_s)
+    }
+
+    /// A bogie with wheels of its own on given rails: front right, front left, rear right, rear left.
+    pub fn run_wheels(
+        &self,
+        surface: &RunningSurface,
+        wheels: [Wheel; 4],
+        speed_m_s: f64,
+    ) -> Result<BogieRun, StudyError> {
         let v = &self.crossing.vehicle;
         let [first, last] = self.stepper.model.extent_m();
         let direction = self.crossing.traffic_direction.sign();
@@ -64,12 +92,11 @@ impl BogieTrack {
         let bogie = crate::passage::Bogie::of_vehicle(v);
         let train = Train {
             units: vec![VehicleUnit::bogie(&bogie, 0.0)?],
-            wheels: vec![Wheel::nominal(static_wheel_force_n(v.axle_load_kg, v.gravity_m_s2)); 4],
+            wheels: wheels.to_vec(),
             wheel_radius_m: v.wheel_radius_m,
         };
-        let surface = RunningSurface { paths: vec![path.clone()], ..RunningSurface::level() };
         let law = ContactLaw::Hertz(v.hertz_constant_n_m15);
-        let record = run(&self.stepper, &train, (&surface, law), &journey, [first, last])?;
+        let record = run(&self.stepper, &train, (surface, law), &journey, [first, last])?;
         Ok(BogieRun { record, front_at_origin_s: -journey.first_m / speed_m_s })
     }
 }

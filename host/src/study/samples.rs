@@ -80,7 +80,8 @@ pub struct PanelSample {
     pub simulated: [Sample; 3],
 }
 
-fn scenario(panel: &Panel, seed: u64) -> Scenario {
+/// The panel as a site of [`CARS`]-car trains.
+pub(super) fn scenario(panel: &Panel, seed: u64) -> Scenario {
     let mut crossing = panel.crossing(SLEEPERS);
     crossing.vehicle.cars = CARS;
     let b = panel.ballast;

@@ -313,6 +313,32 @@ fn panel_curves(panel: &Panel) -> Result<PanelCurves, StudyError> {
     })
 }
 
+/// True and identified forces of one bogie at the samples of its front wheel in the transition region.
+pub(super) struct Known {
+    /// Front and rear wheel, low-passed, newtons.
+    pub true_n: [Vec<f64>; 2],
+    /// By the paper's rule, by evidence: one for both wheels, newtons.
+    pub found_n: [Vec<f64>; 2],
+}
+
+impl Known {
+    /// Identifies the forces of a simulated bogie with the panel's own ballast and load.
+    pub(super) fn new(panel: &Panel, run: &BogieRun) -> Result<Self, StudyError> {
+        let inverse = Inverse::new(panel);
+        let d = inverse.displacement_m(run).ok_or(StudyError::Empty("simulated displacement"))?;
+        let region = inverse.samples_in(region_m(inverse.direction));
+        let at: Vec<f64> = region.map(|k| inverse.x_m(k)).collect();
+        let (static_n, rate) = (inverse.static_n, 1.0 / run.record.dt_s);
+        let true_n = [0, 2].map(|wheel: usize| {
+            let trace = &run.record.contacts[wheel];
+            let low_n = low_passed(trace, rate, static_n);
+            let low = function(&trace.position_m, &low_n, static_n);
+            at.iter().map(|x| low(*x)).collect()
+        });
+        Ok(Self { true_n, found_n: [inverse.by_paper(&d)?, inverse.by_evidence(&d)?] })
+    }
+}
+
 /// 10 mm grid over a stretch.
 pub fn grid([low, high]: [f64; 2]) -> Vec<f64> {
     let count = ((high - low) / GRID_M).round() as usize + 1;

@@ -46,3 +46,5 @@ pub const COVERAGE: f64 = 0.08;
 /// figures, and the misfit changes by a tenth only between 1.7 and 2.5 m.
 #[cfg(test)]
 pub const LOW_PASS_WAVELENGTH: f64 = 0.10;
+/// An upper bound is not exceeded by more than rounding.
+pub const P2_BOUND: f64 = 1e-9;

@@ -17,6 +17,7 @@ pub mod inverse;
 pub mod identify;
 pub mod forces;
 pub mod irregularity;
+pub mod limits;
 pub mod indicator;
 pub mod kernel;
 pub mod node_client;

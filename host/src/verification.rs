@@ -11,7 +11,7 @@ pub mod reference;
 mod site;
 pub(crate) mod tolerance;
 
-pub use site::{SiteAnalyses, SiteMethods, site_analyses, site_methods};
+pub use site::{Baseline, SiteAnalyses, SiteMethods, site_analyses, site_methods};
 
 use crate::greens::GreensError;
 use crate::inverse::displacement::DisplacementError;
@@ -199,14 +199,16 @@ impl Verification {
     }
 }
 
-/// Scores the analysis and two chains of methods on a site with truth, and adds the table.
+/// Scores the analysis and two chains of methods on a site with truth, and adds the table; with it the numpy baseline,
+/// where there is one.
 pub fn add_site(
     out: &mut Verification,
     site: &Site,
     truth: &Truth,
+    baseline: Option<&Baseline>,
     progress: &dyn Progress,
 ) -> Result<(), VerifyError> {
-    out.tables.push(site_methods(site, truth, progress)?.table());
+    out.tables.push(site_methods(site, truth, progress)?.table(baseline));
     Ok(())
 }
 

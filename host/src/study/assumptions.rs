@@ -225,7 +225,7 @@ pub fn site_table(all: &[Broken]) -> Table {
     let mut table = Table::new(
         "Assumptions broken: recordings through the whole chain",
         "Six passes of three cars over Sg 21A, nothing known but recording and drawing. |peak| median and 90th percentile, waveform \
-         median, over all wheels, each against its own true force. cpcm assumes none of I to III, but load and linear track it does.",
+         median, over all wheels, each against its own true force. cpcm gives every wheel a force of its own, but expects a smooth stock rail, the stated load and linear ballast.",
         &[
             "broken",
             "paper's chain: peak",

@@ -111,7 +111,6 @@ impl Track {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use crate::track::Mesh;
     use crate::verification::reference::{SOFT, STIFF, panel, t1};
 

@@ -56,7 +56,7 @@ impl Baseline {
     pub fn name(&self) -> &'static str {
         match self.documented {
             false => "numpy: evidence calibration, joint estimate (bench/peers/field_baseline.py), run now",
-            true => "numpy: the same, not run; figures of bench/peers/README.md",
+            true => "numpy: evidence calibration, joint estimate; not run, figures of bench/peers/README.md",
         }
     }
 }

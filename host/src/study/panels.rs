@@ -92,7 +92,6 @@ pub fn crossing(pads: PadCase, n_sleepers: usize) -> Crossing {
             antialias_hz: 1500.0,
             noise_rms_m_s2: 0.1,
             bias_max_m_s2: 0.15,
-            ..plain.sensor
         },
         ..plain
     }

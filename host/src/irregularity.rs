@@ -79,7 +79,9 @@ fn without_cubic(values: &[f64]) -> Vec<f64> {
 /// 250 Hz and 800 samples per second a cubic spline alone would lose 5 %.
 pub fn on_grid(position_m: &[f64], values: &[f64], grid_m: &[f64]) -> Vec<f64> {
     let n = values.len();
-    let (Some(first), Some(last)) = (position_m.first(), position_m.last()) else { return vec![0.0; grid_m.len()] };
+    let (Some(first), Some(last)) = (position_m.first(), position_m.last()) else {
+        return vec![0.0; grid_m.len()];
+    };
     // The straight line between the ends is taken out, so that the periodic continuation has no step.
     let line = |u: f64| values[0] + (values[n - 1] - values[0]) * u;
     let parts = (n - 1).max(1) as f64;

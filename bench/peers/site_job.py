@@ -17,6 +17,7 @@ with contextlib.redirect_stdout(io.StringIO()):
     _, keep, _ = b.run_joint(site, None, kb, v, te, hj); tr = b.register(site, keep, v, te)
     _, keep, _ = b.run_joint(site, None, kb, v, tr, hj)
     irr = b.irregularity(site, kb, keep, v, range(0, n, 6))
-    peak = [abs(f.max()/b.truth_lp(site, i, "c", w, site.truth[i]["v"], x*site.sgn/site.truth[i]["v"]).max() - 1)
-            for i in keep for x in [keep[i][1]] for w, f in enumerate(keep[i][2])]
-print(json.dumps(dict(ballast_mn_m2=[round(float(q), 3) for q in (the[0]*1e-6, the[1]*1e-6, the[2])], peak_error=float(np.median(peak)))))
+    E = [b.score(np.array([b.truth_lp(site, i, "c", w, site.truth[i]["v"], x*site.sgn/site.truth[i]["v"]) for w in range(len(F))]), F, x) for i, (_, x, F) in keep.items()]
+    peak, nrmse = np.concatenate([abs(e[0]) for e in E]), np.concatenate([e[1] for e in E])
+print(json.dumps(dict(ballast_mn_m2=[round(float(q), 3) for q in (the[0]*1e-6, the[1]*1e-6, the[2])], peak_error=float(np.median(peak)),
+                      peak_p90=float(np.percentile(peak, 90)), waveform=float(np.median(nrmse)), irregularity=float(irr[0])/100)))

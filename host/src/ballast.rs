@@ -40,6 +40,20 @@ impl BallastParameters {
         }
     }
 
+    /// Derivatives of the stiffness of all sleepers (N/m²) by the entries of [`Self::to_vector`].
+    pub fn slopes(&self, n_sleepers: usize, crossing_sleeper: usize) -> [Vec<f64>; 3] {
+        let difference = self.p1_n_m2 - self.p2_n_m2;
+        let at = |i: usize| {
+            let s = 0.5 * (i as i64 - crossing_sleeper as i64).unsigned_abs() as f64;
+            if s >= 1.0 {
+                return [self.p1_n_m2, 0.0, 0.0];
+            }
+            let q = (4.0 * self.p3 - 1.0) * s + (2.0 - 4.0 * self.p3) * s * s;
+            [self.p1_n_m2 * q, self.p2_n_m2 * (1.0 - q), difference * 4.0 * (s - s * s)]
+        };
+        [0, 1, 2].map(|k: usize| (0..n_sleepers).map(|i| at(i)[k]).collect())
+    }
+
     /// With entry `k` of the vector moved by `step`.
     pub fn moved(&self, k: usize, step: f64) -> Self {
         let mut z = self.to_vector();
@@ -65,5 +79,18 @@ mod tests {
         assert!((d[2] - 22.2e6).abs() < 1.0);
         assert_eq!(d[3], 18e6);
         assert_eq!(d[2], d[4]);
+    }
+
+    #[test]
+    fn analytic_slopes_of_the_distribution() {
+        let p = BallastParameters { p1_n_m2: 30e6, p2_n_m2: 18e6, p3: 0.35 };
+        let slopes = p.slopes(9, 4);
+        for (k, slope) in slopes.iter().enumerate() {
+            let (above, below) = (p.moved(k, 1e-4).distribution(9, 4), p.moved(k, -1e-4).distribution(9, 4));
+            for i in 0..9 {
+                let difference = (above[i] - below[i]) / 2e-4;
+                assert!((difference - slope[i]).abs() < 1e-6 * 30e6, "{k} {i}: {difference} {}", slope[i]);
+            }
+        }
     }
 }

@@ -25,6 +25,46 @@ pub fn winkler_timoshenko_m(force_n: f64, foundation_n_m2: f64, section: &BeamSe
     force_n / (2.0 * bending * (2.0 * (r + p)).sqrt()) * (1.0 / r + bending / shear)
 }
 
+/// Track as the one mass, spring and damper that a slow wheel feels at a point of the rail.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LumpedTrack {
+    /// kg.
+    pub mass_kg: f64,
+    /// N/m.
+    pub stiffness_n_m: f64,
+    /// Ns/m.
+    pub damping_ns_m: f64,
+}
+
+impl LumpedTrack {
+    /// A rail (EI) on a continuous support: energies of the static deflection, K = 2k/β, M = 3m/2β, C = 3c/2β with
+    /// β = (k/4EI)^¼. Jenkins et al., The effect of track and vehicle parameters on wheel/rail vertical dynamic forces,
+    /// Railway Engineering Journal 3 (1974).
+    pub fn of_beam(bending_n_m2: f64, support_n_m2: f64, damping_ns_m2: f64, mass_kg_m: f64) -> Self {
+        let beta = (support_n_m2 / (4.0 * bending_n_m2)).powf(0.25);
+        Self {
+            mass_kg: 1.5 * mass_kg_m / beta,
+            stiffness_n_m: 2.0 * support_n_m2 / beta,
+            damping_ns_m: 1.5 * damping_ns_m2 / beta,
+        }
+    }
+
+    /// Constants of the British standard for the P2 force (GM/TT0088).
+    pub fn gm_tt_0088() -> Self {
+        Self { mass_kg: 245.0, stiffness_n_m: 62e6, damping_ns_m: 55.4e3 }
+    }
+}
+
+/// Dynamic part of the P2 force in newtons: an unsprung mass that meets a dip of total angle 2α at speed v.
+///
+/// P2 − P0 = 2αv √(Mu/(Mu+Mt)) [1 − πCt/(4 √(Kt(Mu+Mt)))] √(Kt Mu), Jenkins et al. (1974). The bracket is the first term
+/// in light damping; with the damping of ballast it becomes too small, so an upper bound takes Ct = 0.
+pub fn jenkins_p2_n(track: &LumpedTrack, unsprung_kg: f64, angle_rad: f64, speed_m_s: f64) -> f64 {
+    let (m, k) = (unsprung_kg + track.mass_kg, track.stiffness_n_m);
+    let damping = 1.0 - std::f64::consts::PI * track.damping_ns_m / (4.0 * (k * m).sqrt());
+    angle_rad * speed_m_s * (unsprung_kg / m).sqrt() * damping * (k * unsprung_kg).sqrt()
+}
+
 /// Natural angular frequencies squared (rad²/s²) of a simply supported Timoshenko beam for the wave number nπ/L:
 /// bending branch, shear branch.
 ///
@@ -187,6 +227,19 @@ mod tests {
         for (k, euler, timoshenko) in known {
             assert!((winkler_euler_m(p, k, rail().bending_n_m2, 0.0) / euler - 1.0).abs() < 1e-5);
             assert!((winkler_timoshenko_m(p, k, &rail()) / timoshenko - 1.0).abs() < 1e-5, "{k}");
+        }
+    }
+
+    /// Forces that the standard's constants give for an axle of 15.5 t.
+    #[test]
+    fn reference_p2_forces_of_the_standard() {
+        let known =
+            [(130.0, [102e3, 128e3, 179e3]), (160.0, [108e3, 139e3, 203e3]), (200.0, [116e3, 155e3, 234e3])];
+        for (km_h, forces) in known {
+            for (force, angle) in forces.into_iter().zip([5e-3, 10e-3, 20e-3]) {
+                let found = 76_027.5 + jenkins_p2_n(&LumpedTrack::gm_tt_0088(), 670.0, angle, km_h / 3.6);
+                assert!((found / force - 1.0).abs() < 5e-3, "{km_h} km/h, {angle}: {found}");
+            }
         }
     }
 

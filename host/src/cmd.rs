@@ -14,6 +14,7 @@ mod output;
 mod progress;
 mod verify;
 mod simulate;
+mod study;
 
 use std::process::ExitCode;
 
@@ -45,6 +46,7 @@ enum Command {
     Diagnose(diagnose::DiagnoseArgs),
     BlindTrial(blind_trial::BlindTrialArgs),
     Verify(verify::VerifyArgs),
+    Study(study::StudyArgs),
     Convert(convert::ConvertArgs),
     Bench(bench::BenchArgs),
 }
@@ -61,6 +63,7 @@ pub fn main() -> ExitCode {
         Command::Diagnose(args) => args.run(),
         Command::BlindTrial(args) => args.run(),
         Command::Verify(args) => args.run(),
+        Command::Study(args) => args.run(),
         Command::Convert(args) => args.run(),
         Command::Bench(args) => args.run(),
     };

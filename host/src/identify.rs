@@ -82,8 +82,8 @@ const CALIBRATION_PASSAGES: usize = 8;
 const HYPER_PASSAGES: usize = 3;
 /// Start of the quasi-static fit: nominal outer stiffness, somewhat less under the crossing.
 const NOMINAL: BallastParameters = BallastParameters { p1_n_m2: 30e6, p2_n_m2: 25e6, p3: 0.4 };
-/// Spacing of the common force profile on the two rails, metres; half the shortest wavelength in the band at 45 m/s.
-const PROFILE_STEP_M: (f64, f64) = (0.05, 0.08);
+/// Spacing of the common force profile on the two rails, metres: three knots per wavelength of 250 Hz at 30 m/s.
+const PROFILE_STEP_M: (f64, f64) = (0.04, 0.064);
 /// Position uncertainty left after the calibration, metres: common and per passage; relative error of the speed.
 const SHIFT_SD_M: (f64, f64) = (0.0003, 0.001);
 const SPEED_SD: f64 = 1e-4;
@@ -198,7 +198,9 @@ fn calibrate(
     progress.step();
     problem.converge(&mut state, &mut some, 10)?;
     progress.step();
-    let fit = problem.converge(&mut state, passages, 3)?;
+    // Axle times first: they are far off where the search has not used a passage, and cheap without the derivatives.
+    problem.align(&state, passages)?;
+    let fit = problem.converge(&mut state, passages, 2)?;
     progress.step();
     Ok((state, fit))
 }

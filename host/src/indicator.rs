@@ -25,8 +25,14 @@ pub fn indicators(passages: &[PassageResult], position_m: &[f64], static_force_n
     Indicators {
         peak_force_n,
         irregularity_rms_m,
-        force_mode_n: first_mode(&wheels, position_m.len(), |w| &w.contact_force_n),
-        irregularity_mode_m: first_mode(&wheels, position_m.len(), |w| &w.irregularity_m),
+        force_mode_n: first_mode(
+            &wheels.iter().map(|w| w.contact_force_n.as_slice()).collect::<Vec<_>>(),
+            position_m.len(),
+        ),
+        irregularity_mode_m: first_mode(
+            &wheels.iter().map(|w| w.irregularity_m.as_slice()).collect::<Vec<_>>(),
+            position_m.len(),
+        ),
         position_m: position_m.to_vec(),
         condition,
         urgency: urgency.into(),
@@ -67,17 +73,13 @@ fn advice(condition: Condition, force: &Spread, irregularity: &Spread) -> (&'sta
 }
 
 /// First left singular vector of the wheels' curves times its singular value, scaled to the size of one wheel, and
-/// with the sign of the mean.
-fn first_mode(
-    wheels: &[&WheelsetResult],
-    len: usize,
-    curve: impl Fn(&WheelsetResult) -> &Vec<f64>,
-) -> Vec<f64> {
-    let usable: Vec<&&WheelsetResult> = wheels.iter().filter(|w| curve(w).len() == len).collect();
+/// with the sign of the mean (paper, section 6.2). Curves of another length than `len` are left out.
+pub fn first_mode(curves: &[&[f64]], len: usize) -> Vec<f64> {
+    let usable: Vec<&&[f64]> = curves.iter().filter(|c| c.len() == len).collect();
     if usable.is_empty() || len == 0 {
         return vec![0.0; len];
     }
-    let matrix = Mat::from_fn(len, usable.len(), |i, j| curve(usable[j])[i]);
+    let matrix = Mat::from_fn(len, usable.len(), |i, j| usable[j][i]);
     let Ok(svd) = matrix.thin_svd() else { return vec![0.0; len] };
     let weight = mean(&(0..usable.len()).map(|j| svd.V()[(j, 0)]).collect::<Vec<_>>());
     let size = svd.S().column_vector()[0] * weight;

@@ -34,21 +34,31 @@ pub fn irregularity(
     let deviation: Vec<f64> = force.force_n.iter().map(|f| f - static_force_n).collect();
     let moved = &rail.kernel(&force.position_m) * Mat::from_fn(deviation.len(), 1, |j, _| deviation[j]);
     let deflection: Vec<f64> = moved.col_as_slice(0).to_vec();
-    let (mut velocity, mut path) = (0.0, 0.0);
+    let acceleration: Vec<f64> = deviation.iter().map(|d| -d / mass).collect();
     let raw: Vec<f64> = force
         .force_n
         .iter()
-        .zip(&deviation)
+        .zip(twice_integrated(&acceleration, dt))
         .zip(&deflection)
-        .map(|((f, d), rail)| {
-            velocity -= d / mass * dt;
-            path += velocity * dt;
+        .map(|((f, path), rail)| {
             let compression = (f.max(0.0) / vehicle.hertz_constant_n_m15).powf(2.0 / 3.0);
             path - rail - compression
         })
         .collect();
     let banded = brick_band(&without_cubic(&raw), rate_hz, speed_m_s / LONGEST_WAVELENGTH_M, LOW_PASS_HZ);
     on_grid(&force.position_m, &banded, grid_m)
+}
+
+/// Path from acceleration, both at the samples, from rest, by Numerov's rule: without delay, and 1.07 times too large at
+/// 250 Hz and 800 samples per second, where Euler's steps would be half a sample early and 1.4 times too large.
+fn twice_integrated(acceleration: &[f64], dt_s: f64) -> Vec<f64> {
+    let n = acceleration.len();
+    let mut path = vec![0.0; n];
+    for k in 1..n.saturating_sub(1) {
+        let mean = (acceleration[k - 1] + 10.0 * acceleration[k] + acceleration[k + 1]) / 12.0;
+        path[k + 1] = 2.0 * path[k] - path[k - 1] + mean * dt_s * dt_s;
+    }
+    path
 }
 
 /// Residual of the least-squares cubic, which holds what the double integration cannot know; Legendre polynomials keep
@@ -107,6 +117,22 @@ const FINER: usize = 4;
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// A bell of acceleration: path and its place in time.
+    #[test]
+    fn analytic_integration_is_neither_early_nor_late() {
+        let (dt, middle, width) = (1.0 / 800.0, 0.25, 0.006);
+        let path = |t: f64| (-((t - middle) / width).powi(2)).exp();
+        let acceleration = |t: f64| {
+            let u = (t - middle) / width;
+            path(t) * (4.0 * u * u - 2.0) / width.powi(2)
+        };
+        let samples: Vec<f64> = (0..400).map(|k| acceleration(k as f64 * dt)).collect();
+        let found = twice_integrated(&samples, dt);
+        let worst = (0..400).map(|k| (found[k] - path(k as f64 * dt)).abs()).fold(0.0, f64::max);
+        assert!(worst < 2e-3, "{worst}");
+        assert!(twice_integrated(&[1.0], dt) == [0.0] && twice_integrated(&[], dt).is_empty());
+    }
 
     #[test]
     fn analytic_a_wave_of_250_hz_survives_the_grid() {

@@ -11,6 +11,7 @@ use crate::indicator::indicators;
 use crate::inverse::InverseError;
 use crate::irregularity::{LONGEST_WAVELENGTH_M, irregularity, on_grid};
 use crate::kernel::{HALF_WIDTH_90, KernelError};
+use crate::limits::PassageLimits;
 use crate::progress::Progress;
 use crate::reconstruct::complementary_displacement;
 use crate::recording::{Scan, Site};
@@ -69,8 +70,6 @@ const COMPLEMENT_HZ: f64 = 3.0;
 const GRID_STEP_M: f64 = 0.01;
 /// Recording traces in the results are decimated to this rate, Hz.
 const TRACE_RATE_HZ: f64 = 1000.0;
-/// Speed below which the method is weak, m/s: 40 km/h (paper, section 6.3).
-const LOW_SPEED_M_S: f64 = 40.0 / 3.6;
 
 /// Forces, irregularity, displacement and indicators of a site that has been identified.
 pub fn evaluate(identified: &IdentifiedSite, progress: &dyn Progress) -> Result<Analysis, PipelineError> {
@@ -140,14 +139,14 @@ fn passage_result(
 ) -> PassageResult {
     let (passage, recording) = (&identified.site.passages[index], &identified.recordings[index]);
     let timing = identified.timings[index];
-    let flags = flags(identified, index);
-    let wheelsets =
-        forces.iter().map(|f| wheelset_result(identified, index, f, rail, grid, flags.clone())).collect();
     let samples = (recording.duration_s() * TRACE_RATE_HZ) as usize;
     let model = model_displacement(identified, index, displacement_greens);
     let model_raw = resample(&model, recording.len);
     let displacement =
         complementary_displacement(recording, timing, &identified.pattern, &model_raw, COMPLEMENT_HZ);
+    let flags = flags(identified, index, &displacement);
+    let wheelsets =
+        forces.iter().map(|f| wheelset_result(identified, index, f, rail, grid, flags.clone())).collect();
     PassageResult {
         passage_id: passage.passage_id,
         speed_m_s: timing.speed_m_s,
@@ -181,18 +180,19 @@ fn model_displacement(identified: &IdentifiedSite, index: usize, greens: &Greens
     sum
 }
 
-fn flags(identified: &IdentifiedSite, index: usize) -> Vec<String> {
-    let mut flags = Vec::new();
-    if identified.timings[index].speed_m_s < LOW_SPEED_M_S {
-        flags.push("low-speed".into());
+fn flags(identified: &IdentifiedSite, index: usize, displacement_m: &[f64]) -> Vec<String> {
+    let (site, passage) = (identified.site, &identified.site.passages[index]);
+    PassageLimits {
+        speed_m_s: identified.timings[index].speed_m_s,
+        largest_m_s2: identified.recordings[index].max_m_s2,
+        range_m_s2: site.crossing.sensor.range_m_s2,
+        train_type: &passage.train_type,
+        vehicle_type: &site.crossing.vehicle.kind,
+        axle_load_kg: passage.axle_load_kg,
+        vehicle_axle_load_kg: site.crossing.vehicle.axle_load_kg,
+        displacement_m,
     }
-    if identified.recordings[index].max_m_s2 >= 0.999 * identified.site.crossing.sensor.range_m_s2 {
-        flags.push("clipped".into());
-    }
-    if identified.site.passages[index].train_type != identified.site.crossing.vehicle.kind {
-        flags.push("unknown-train".into());
-    }
-    flags
+    .flags()
 }
 
 fn wheelset_result(

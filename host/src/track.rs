@@ -7,6 +7,7 @@ mod benchmark;
 mod block;
 mod check;
 mod sleeper;
+mod slopes;
 
 use faer::c64;
 use rayon::prelude::*;

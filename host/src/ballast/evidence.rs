@@ -113,6 +113,15 @@ impl EvidenceProblem<'_> {
         }
     }
 
+    /// Moves the axle times and speeds of passages to where the model of `state` sees them.
+    pub fn align(&self, state: &Calibration, passages: &mut [SitePassage]) -> Result<(), InverseError> {
+        let model = LowModel::new(self, &state.ballast, state.prior.half_m);
+        let site = self.site_model(&model, Vec::new(), &state.prior, &state.irregularity);
+        let posterior = site.posterior(passages)?;
+        realign(passages, &posterior);
+        Ok(())
+    }
+
     /// Posterior of a site, linearised about `state`, at the low sampling.
     pub fn posterior(
         &self,

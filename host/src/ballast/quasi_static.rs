@@ -10,7 +10,7 @@ use nalgebra::{DMatrix, DVector, Dyn, Owned, Vector3};
 
 use super::BallastParameters;
 use crate::reconstruct::Recording;
-use crate::track::Track;
+use crate::track::{SensorReceptance, Track};
 use crate::vehicle::AxlePattern;
 
 /// Deformation wavelength that separates quasi-static from dynamic response, metres (paper, section 3.1).
@@ -112,6 +112,57 @@ impl<'a> QuasiStatic<'a> {
             .map(|k| self.track.both_rails_on_grid(&receptance.crossing[k], &receptance.stock[k], STEP_M))
             .collect();
         self.passages.iter().map(|p| self.model_of(p, &profile)).collect()
+    }
+
+    /// Models as [`Self::models`] gives them, and their derivatives by (ln p1, ln p2, p3).
+    fn models_and_slopes(&self, ballast: &BallastParameters) -> [Vec<Vec<c64>>; 4] {
+        let (n, sensor) = (self.track.sleeper_x_m.len(), self.track.sensor_sleeper);
+        let (value, slopes) = self.track.sensor_receptance_and_slopes(
+            &self.frequency_hz,
+            &ballast.distribution(n, sensor),
+            &ballast.slopes(n, sensor),
+        );
+        let models = |r: &SensorReceptance| -> Vec<Vec<c64>> {
+            let profile: Vec<Vec<c64>> = (0..self.frequency_hz.len())
+                .map(|k| self.track.both_rails_on_grid(&r.crossing[k], &r.stock[k], STEP_M))
+                .collect();
+            self.passages.iter().map(|p| self.model_of(p, &profile)).collect()
+        };
+        [models(&value), models(&slopes[0]), models(&slopes[1]), models(&slopes[2])]
+    }
+
+    /// Derivatives of [`Self::residuals`] by (ln p1, ln p2, p3), each with its number. The axle times follow the
+    /// parameters: they keep the slope of the correlation at zero.
+    fn slopes(&self, ballast: &BallastParameters, times: &[f64]) -> [(Vec<f64>, usize); 3] {
+        let [models, moved @ ..] = self.models_and_slopes(ballast);
+        let mut columns = [0, 1, 2].map(|k| (Vec::new(), k));
+        let mut power = 0.0;
+        for (i, passage) in self.passages.iter().enumerate() {
+            let time = self.refine_time(passage, &models[i], times[i]);
+            let lines = self.in_band(passage);
+            let turn = |k: usize| std::f64::consts::TAU * self.frequency_hz[k];
+            // Σ ω^n m conj(v) e^{iωt}: derivatives of the correlation with v in the place of the model.
+            let moment = |v: &[c64], order: i32| {
+                (0..lines).fold(c64::new(0.0, 0.0), |sum, k| {
+                    sum + passage.measured[k] * v[k].conj() * unit(turn(k) * time) * turn(k).powi(order)
+                })
+            };
+            let curvature = -moment(&models[i], 2).re;
+            for ((column, _), slope) in columns.iter_mut().zip(&moved) {
+                let later = if curvature < 0.0 { moment(&slope[i], 1).im / curvature } else { 0.0 };
+                for k in 0..lines {
+                    let phase = unit(-turn(k) * time);
+                    let e = models[i][k] * phase * c64::new(0.0, turn(k) * later) - slope[i][k] * phase;
+                    column.extend([e.re, e.im]);
+                }
+            }
+            power += passage.measured.iter().take(lines).map(|v| v.norm_sqr()).sum::<f64>();
+        }
+        let scale = 1.0 / power.sqrt().max(f64::MIN_POSITIVE);
+        for (column, _) in &mut columns {
+            column.iter_mut().for_each(|v| *v *= scale);
+        }
+        columns
     }
 
     fn model_of(&self, passage: &QuasiStaticPassage, profile: &[Vec<c64>]) -> Vec<c64> {
@@ -286,19 +337,72 @@ impl LeastSquaresProblem<f64, Dyn, nalgebra::U3> for Problem<'_, '_> {
     }
 
     fn jacobian(&self) -> Option<nalgebra::OMatrix<f64, Dyn, nalgebra::U3>> {
-        let step = 1e-3;
-        let columns: Vec<DVector<f64>> = (0..3)
-            .map(|i| {
-                let at = |sign: f64| {
-                    let mut z = self.scaled;
-                    z[i] += sign * step;
-                    let mut times = self.times.clone();
-                    DVector::from_vec(self.model.residuals(&from_scaled(&z), &mut times))
-                };
-                (at(1.0) - at(-1.0)) / (2.0 * step)
-            })
-            .collect();
+        let columns = self.model.slopes(&from_scaled(&self.scaled), &self.times).map(|(column, k)| {
+            let inside = from_scaled(&self.scaled).to_vector()[k] == self.scaled[k];
+            // Beyond its bound a parameter does nothing.
+            DVector::from_vec(column) * if inside { 1.0 } else { 0.0 }
+        });
         let matrix = DMatrix::from_columns(&columns);
         Some(matrix.fixed_columns::<3>(0).into_owned())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::track::Mesh;
+    use crate::verification::reference::{STIFF, panel};
+
+    /// A passage measured on another ballast, with something that the model does not know.
+    fn passage(model: &QuasiStatic, speed_m_s: f64, time_s: f64) -> QuasiStaticPassage {
+        let offsets = [0.0, 2.9];
+        let axles = |f: f64| {
+            offsets
+                .iter()
+                .fold(c64::new(0.0, 0.0), |sum, o| sum + unit(-std::f64::consts::TAU * f * o / speed_m_s))
+        };
+        let mut out = QuasiStaticPassage {
+            speed_m_s,
+            static_force_n: 76e3,
+            duration_s: 1.5,
+            train_s: 2.9 / speed_m_s,
+            measured: vec![c64::new(0.0, 0.0); model.frequency_hz.len()],
+            pattern: model.frequency_hz.iter().map(|f| axles(*f)).collect(),
+        };
+        let truth = BallastParameters { p1_n_m2: 34e6, p2_n_m2: 15e6, p3: 0.45 };
+        let alone =
+            QuasiStatic { passages: vec![out.clone()], frequency_hz: model.frequency_hz.clone(), ..*model };
+        let spectra = alone.models(&truth);
+        let place = |f: f64| unit(-std::f64::consts::TAU * f * time_s);
+        out.measured = model
+            .frequency_hz
+            .iter()
+            .zip(&spectra[0])
+            .map(|(f, v)| v * place(*f) * (1.0 + 0.05 * (0.7 * f).sin()))
+            .collect();
+        out
+    }
+
+    /// Gradient of eq. 2 with the axle times free, against central differences.
+    #[test]
+    fn analytic_gradient_of_the_quasi_static_misfit() {
+        let track = panel(STIFF, Mesh::default());
+        let frequency_hz: Vec<f64> = (4..=38).map(|k| 0.5 * f64::from(k)).collect();
+        let mut model = QuasiStatic { track: &track, direction: 1.0, frequency_hz, passages: Vec::new() };
+        model.passages = vec![passage(&model, 44.0, 0.6), passage(&model, 38.0, 0.7)];
+        let at = BallastParameters { p1_n_m2: 28e6, p2_n_m2: 20e6, p3: 0.4 };
+        let times = model.align(&at);
+        let columns = model.slopes(&at, &times);
+        for (k, (column, parameter)) in columns.iter().enumerate() {
+            assert_eq!(k, *parameter);
+            let step = 1e-3;
+            let moved = |sign: f64| model.residuals(&at.moved(k, sign * step), &mut times.clone());
+            let (above, below) = (moved(1.0), moved(-1.0));
+            let largest = column.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
+            for ((a, b), found) in above.iter().zip(&below).zip(column) {
+                let difference = (a - b) / (2.0 * step);
+                assert!((difference - found).abs() < 1e-4 * largest, "parameter {k}: {difference} {found}");
+            }
+        }
     }
 }

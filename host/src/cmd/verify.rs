@@ -6,13 +6,13 @@ use anyhow::{Context, bail};
 use clap::Args;
 use serde_json::json;
 
-use super::output::{print, print_json, warn_skipped};
+use super::output::{print, print_json, warn, warn_skipped};
 use super::progress::Bar;
 use crate::recording::files::{create_dir, write_atomic};
 use crate::recording::read_site;
 use crate::recording::truth::read_truth;
 use crate::report::verification;
-use crate::verification::{self as checks, Case, Table, Verification};
+use crate::verification::{self as checks, Baseline, Case, Table, Verification};
 
 /// Check the model against closed forms, reference curves and the cases of the paper
 ///
@@ -32,6 +32,13 @@ pub(super) struct VerifyArgs {
     /// Leave out the checks that need no recordings
     #[arg(long, requires = "sites")]
     sites_only: bool,
+    /// Run the numpy baseline (bench/peers) on each site too, 70 s of CPU time each; without it, or without python3,
+    /// numpy, scipy and pyarrow, its documented figures stand in the table
+    #[arg(long, requires = "sites")]
+    baseline: bool,
+    /// Python that runs the baseline
+    #[arg(long, value_name = "PROGRAM", default_value = "python3")]
+    python: String,
     /// Print the table as JSON
     #[arg(long)]
     json: bool,
@@ -46,7 +53,7 @@ impl VerifyArgs {
             false => checks::run(&bar).context("cannot run the checks")?,
         };
         for dir in &self.sites {
-            add_site(&mut result, dir, &bar)
+            add_site(&mut result, dir, self.baseline_of(dir), &bar)
                 .with_context(|| format!("cannot score on site {}", dir.display()))?;
         }
         drop(bar);
@@ -63,11 +70,34 @@ impl VerifyArgs {
     }
 }
 
-fn add_site(result: &mut Verification, dir: &Path, bar: &Bar) -> anyhow::Result<()> {
+impl VerifyArgs {
+    /// The baseline run on a site; why it was not run goes to standard error.
+    fn baseline_of(&self, dir: &Path) -> Option<Baseline> {
+        if !self.baseline {
+            return None;
+        }
+        match Baseline::run(dir, &self.python) {
+            Ok(found) => Some(found),
+            Err(reason) => {
+                warn(&format!("the numpy baseline is skipped on {}: {reason}", dir.display()));
+                None
+            }
+        }
+    }
+}
+
+fn add_site(
+    result: &mut Verification,
+    dir: &Path,
+    baseline: Option<Baseline>,
+    bar: &Bar,
+) -> anyhow::Result<()> {
     let site = read_site(dir)?;
     warn_skipped(&site.skipped);
     let truth = read_truth(dir).context("a site without truth cannot be scored on")?;
-    checks::add_site(result, &site, &truth, bar)?;
+    let name = dir.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+    let baseline = baseline.or_else(|| Baseline::documented(&name));
+    checks::add_site(result, &site, &truth, baseline.as_ref(), bar)?;
     Ok(())
 }
 

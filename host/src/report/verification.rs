@@ -46,7 +46,7 @@ fn row(case: &Case) -> String {
     )
 }
 
-fn table_html(table: &Table) -> String {
+pub(super) fn table_html(table: &Table) -> String {
     let side = |i: usize| if i == 0 { " style=\"text-align:left\"" } else { "" };
     let head: String =
         table.columns.iter().enumerate().map(|(i, c)| format!("<th{}>{}</th>", side(i), escape(c))).collect();
@@ -68,7 +68,7 @@ fn table_html(table: &Table) -> String {
 }
 
 /// A study for the terminal: columns as wide as their widest cell.
-fn table_text(table: &Table) -> String {
+pub fn table_text(table: &Table) -> String {
     let width = |i: usize| {
         let cells = table.rows.iter().filter_map(|r| r.get(i)).chain(table.columns.get(i));
         cells.map(|c| c.chars().count()).max().unwrap_or(0)

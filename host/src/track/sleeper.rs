@@ -70,8 +70,9 @@ impl SleeperBeam {
         Self { section, damping_stiffness_proportional_s, y_m, crossing_seat, stock_seat, sensor }
     }
 
-    /// Compliance at angular frequency `omega` on ballast of `stiffness` (complex, N/m per metre of sleeper).
-    fn compliance(&self, omega: f64, stiffness: c64) -> Compliance {
+    /// Motion of all nodes under a unit force at crossing seat, stock seat and sensor, at angular frequency `omega` on
+    /// ballast of `stiffness` (complex, N/m per metre of sleeper).
+    fn columns(&self, omega: f64, stiffness: c64) -> [Vec<c64>; 3] {
         let n = self.y_m.len();
         let mut diagonal: Vec<Block<2>> = vec![[[ZERO; 2]; 2]; n];
         let mut upper: Vec<Block<2>> = Vec::with_capacity(n - 1);
@@ -92,14 +93,36 @@ impl SleeperBeam {
             upper.push([[d[0][2], d[0][3]], [d[1][2], d[1][3]]]);
         }
         let factor = Factor::new(diagonal, &upper);
-        let points = [self.crossing_seat, self.stock_seat, self.sensor];
-        let columns = points.map(|loaded| {
+        self.points().map(|loaded| {
             let mut rhs = vec![[ZERO; 2]; n];
             rhs[loaded][0] = c64::new(1.0, 0.0);
             factor.solve(&mut rhs);
-            points.map(|read| rhs[read][0])
-        });
-        std::array::from_fn(|i| std::array::from_fn(|j| columns[j][i]))
+            rhs.iter().map(|v| v[0]).collect()
+        })
+    }
+
+    fn points(&self) -> [usize; 3] {
+        [self.crossing_seat, self.stock_seat, self.sensor]
+    }
+
+    fn compliance(&self, omega: f64, stiffness: c64) -> Compliance {
+        let columns = self.columns(omega, stiffness);
+        let points = self.points();
+        std::array::from_fn(|i| std::array::from_fn(|j| columns[j][points[i]]))
+    }
+
+    /// Compliance and its derivative by the ballast: −Σ w u_i u_j over the nodes, which carry w metres of ballast each.
+    fn compliance_and_slope(&self, omega: f64, stiffness: c64) -> (Compliance, Compliance) {
+        let columns = self.columns(omega, stiffness);
+        let points = self.points();
+        let n = self.y_m.len();
+        let metres = |k: usize| 0.5 * (self.y_m[(k + 1).min(n - 1)] - self.y_m[k.saturating_sub(1)]);
+        let slope =
+            |i: usize, j: usize| (0..n).fold(ZERO, |sum, k| sum - columns[i][k] * columns[j][k] * metres(k));
+        (
+            std::array::from_fn(|i| std::array::from_fn(|j| columns[j][points[i]])),
+            std::array::from_fn(|i| std::array::from_fn(|j| slope(i, j))),
+        )
     }
 }
 
@@ -113,6 +136,17 @@ impl Sleeper {
                 let c = c64::new(1.0, 0.0) / (ballast * *length_m - omega * omega * mass_kg);
                 // The sensor sits on the crossing-side half.
                 [[c, ZERO, c], [ZERO, c, ZERO], [c, ZERO, c]]
+            }
+        }
+    }
+
+    /// The same with its derivative by the ballast stiffness.
+    pub fn compliance_and_slope(&self, omega: f64, ballast: c64) -> (Compliance, Compliance) {
+        match self {
+            Sleeper::Beam(beam) => beam.compliance_and_slope(omega, ballast),
+            Sleeper::RigidHalves { length_m, .. } => {
+                let c = self.compliance(omega, ballast);
+                (c, c.map(|row| row.map(|v| v * v * -*length_m)))
             }
         }
     }

@@ -113,7 +113,7 @@ pub fn continuous(section: BeamSection, per_metre: crate::closed_form::TwoLayer,
 
 /// Description of the two-rail panel, number for number that of the published script; no damping but that of pads
 /// and ballast.
-fn site(pads: PadCase) -> Crossing {
+pub(crate) fn site(pads: PadCase) -> Crossing {
     Crossing {
         name: "reference panel".into(),
         design: Design::Uic60,

@@ -1,17 +1,21 @@
 //! Methods side by side on recordings with known truth: the analysis of this program, the paper's chain, and a chain
 //! in between.
 
+mod baseline;
 mod chain;
 
+pub use self::baseline::Baseline;
 use self::chain::{Chains, DisplacementChain};
 use super::{Table, VerifyError};
-use crate::analysis::Interval;
+use crate::analysis::{Analysis, Interval};
+use crate::ballast::BallastParameters;
 use crate::identify::identify;
 use crate::pipeline::{PipelineError, evaluate};
 use crate::progress::Progress;
 use crate::recording::Site;
 use crate::recording::truth::Truth;
 use crate::scoring::{Score, score};
+use crate::signal::{CubicSpline, mean};
 
 /// Scores of all methods on one site.
 pub struct SiteMethods {
@@ -21,6 +25,8 @@ pub struct SiteMethods {
     pub methods: Vec<(&'static str, Score)>,
     /// Ballast of the analysis with intervals, and of the quasi-static fit.
     pub ballast: [[Interval; 3]; 2],
+    /// Mean irregularity of each method against the laser scan, RMS over peak to peak; NaN without a scan.
+    pub irregularity: Vec<f64>,
 }
 
 const OURS: &str = "cpcm analyse";
@@ -28,33 +34,73 @@ const PAPER: &str = "paper: high-pass, quasi-static calibration, pseudo-inverse,
 const BETWEEN: &str =
     "quasi-static calibration, model below 3 Hz, f \u{2212} Q, truncated SVD, GCV, per wheelset";
 
-/// Analyses a site by all methods and scores them.
-pub fn site_methods(site: &Site, truth: &Truth, progress: &dyn Progress) -> Result<SiteMethods, VerifyError> {
+/// One site analysed by all methods.
+pub struct SiteAnalyses {
+    /// Method and its analysis; this program's comes first, the paper's chain second. The others differ from the first in
+    /// forces, displacement and irregularity only.
+    pub methods: Vec<(&'static str, Analysis)>,
+    /// Ballast of the other methods: quasi-static fit (eq. 2).
+    pub quasi_static: BallastParameters,
+}
+
+/// Analyses a site by all methods.
+pub fn site_analyses(site: &Site, progress: &dyn Progress) -> Result<SiteAnalyses, VerifyError> {
     let identified = identify(site, progress).map_err(PipelineError::from)?;
     let analysis = evaluate(&identified, progress)?;
-    let mut methods = vec![(OURS, score(&analysis, truth))];
     let chain = DisplacementChain::new(&identified)?;
+    let mut others = Vec::new();
     for (name, kind) in [(PAPER, Chains::Paper), (BETWEEN, Chains::Between)] {
         progress.begin("force from displacement", site.passages.len() as u64);
-        methods.push((name, score(&chain.analysis(&analysis, kind, progress)?, truth)));
+        others.push((name, chain.analysis(&analysis, kind, progress)?));
     }
-    let p = identified.quasi_static.parameters;
+    let mut methods = vec![(OURS, analysis)];
+    methods.append(&mut others);
+    Ok(SiteAnalyses { methods, quasi_static: identified.quasi_static.parameters })
+}
+
+/// Analyses a site by all methods and scores them.
+pub fn site_methods(site: &Site, truth: &Truth, progress: &dyn Progress) -> Result<SiteMethods, VerifyError> {
+    let all = site_analyses(site, progress)?;
+    let p = all.quasi_static;
     let point = |value: f64| Interval { value, lower: f64::NAN, upper: f64::NAN };
+    let analysis = all.methods.first().map(|m| &m.1).ok_or(VerifyError::Empty("list of methods"))?;
     let b = &analysis.ballast;
     Ok(SiteMethods {
         site: analysis.crossing.name.clone(),
-        methods,
+        methods: all.methods.iter().map(|(name, a)| (*name, score(a, truth))).collect(),
+        irregularity: all.methods.iter().map(|(_, a)| irregularity_error(a)).collect(),
         ballast: [[b.p1_n_m2, b.p2_n_m2, b.p3], [point(p.p1_n_m2), point(p.p2_n_m2), point(p.p3)]],
     })
 }
 
+/// Mean irregularity of all wheelsets against the scan in the same band, where both are known: RMS over peak to peak.
+fn irregularity_error(analysis: &Analysis) -> f64 {
+    let Some(scan) = &analysis.scan else { return f64::NAN };
+    let wheels: Vec<_> = analysis.passages.iter().flat_map(|p| &p.wheelsets).collect();
+    let (Some(first), Some(spline)) =
+        (wheels.first(), CubicSpline::new(&scan.position_m, &scan.irregularity_m))
+    else {
+        return f64::NAN;
+    };
+    let ends = [scan.position_m[0], scan.position_m[scan.position_m.len() - 1]];
+    let (mut known, mut squares) = (Vec::new(), Vec::new());
+    for (i, x) in first.position_m.iter().enumerate().filter(|(_, x)| **x >= ends[0] && **x <= ends[1]) {
+        let all: Vec<f64> = wheels.iter().filter_map(|w| w.irregularity_m.get(i)).copied().collect();
+        known.push(spline.at(*x));
+        squares.push((mean(&all) - spline.at(*x)).powi(2));
+    }
+    let high = known.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    let low = known.iter().copied().fold(f64::INFINITY, f64::min);
+    mean(&squares).sqrt() / (high - low)
+}
+
 impl SiteMethods {
-    /// All methods side by side.
-    pub fn table(&self) -> Table {
+    /// All methods side by side, with the numpy baseline where there is one.
+    pub fn table(&self, baseline: Option<&Baseline>) -> Table {
         let mut table = Table::new(
             &format!("Forces and ballast against the truth, site {}", self.site),
             "Error of the force below 250 Hz in the transition region: |peak| median and 90th percentile, waveform (RMS over peak \
-             to peak) median, position of the peak; speed; displacement while the train passes (RMS over peak to peak); share of \
+             to peak) median, position of the peak; speed; displacement while the train passes (RMS over peak to peak); mean irregularity against the laser scan (RMS over peak to peak); share of \
              true peaks and of true samples inside the 90 % interval. p1, p2 in MN/m².",
             &[
                 "method",
@@ -64,6 +110,7 @@ impl SiteMethods {
                 "position, mm",
                 "speed",
                 "displacement",
+                "irregularity",
                 "peaks inside",
                 "samples inside",
                 "p1",
@@ -72,14 +119,17 @@ impl SiteMethods {
             ],
         );
         for (k, (name, score)) in self.methods.iter().enumerate() {
-            table.row(&self.row(name, score, k.min(1)));
+            table.row(&self.row(name, score, k));
+        }
+        if let Some(b) = baseline {
+            table.row(&baseline_row(b));
         }
         if let Some((_, score)) = self.methods.first()
             && let Some([p1, p2, p3]) = score.ballast_truth
         {
-            let mut row = vec![String::new(); 12];
+            let mut row = vec![String::new(); 13];
             row[0] = "truth".into();
-            row[9..].clone_from_slice(&[
+            row[10..].clone_from_slice(&[
                 format!("{:.1}", 1e-6 * p1),
                 format!("{:.1}", 1e-6 * p2),
                 format!("{p3:.2}"),
@@ -89,7 +139,8 @@ impl SiteMethods {
         table
     }
 
-    fn row(&self, name: &str, score: &Score, ballast: usize) -> Vec<String> {
+    fn row(&self, name: &str, score: &Score, method: usize) -> Vec<String> {
+        let ballast = method.min(1);
         let percent = |v: f64, digits: usize| {
             if v.is_finite() { format!("{:.digits$} %", 100.0 * v) } else { "-".into() }
         };
@@ -103,6 +154,7 @@ impl SiteMethods {
             format!("{:.0}", 1e3 * Score::median(&score.peak_position_m)),
             percent(Score::median(&score.speed), 3),
             percent(Score::median(&score.displacement), 2),
+            percent(self.irregularity.get(method).copied().unwrap_or(f64::NAN), 1),
             share(score.peak_coverage),
             share(score.waveform_coverage),
             cell(p1, 1e-6, 1),
@@ -110,6 +162,28 @@ impl SiteMethods {
             cell(p3, 1.0, 2),
         ]
     }
+}
+
+fn baseline_row(b: &Baseline) -> Vec<String> {
+    let percent =
+        |v: f64, digits: usize| if v.is_finite() { format!("{:.digits$} %", 100.0 * v) } else { "-".into() };
+    let none = || "-".to_string();
+    let [p1, p2, p3] = b.ballast_mn_m2;
+    vec![
+        b.name().into(),
+        percent(b.peak_error, 2),
+        percent(b.peak_p90, 2),
+        percent(b.waveform, 1),
+        none(),
+        none(),
+        none(),
+        percent(b.irregularity, 1),
+        none(),
+        none(),
+        format!("{p1:.1}"),
+        format!("{p2:.1}"),
+        format!("{p3:.2}"),
+    ]
 }
 
 /// A value with its interval, where it has one.

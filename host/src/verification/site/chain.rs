@@ -5,14 +5,16 @@ use rayon::prelude::*;
 
 use super::super::VerifyError;
 use crate::analysis::{Analysis, Interval, PassageResult};
-use crate::forces::LOW_PASS_HZ;
-use crate::greens::moving::{WheelPath, constant_force_response, kernel};
+use crate::forces::{LOW_PASS_HZ, WheelForce};
+use crate::greens::moving::{WheelPath, constant_force_response, kernel, own_positions};
+use crate::greens::moving_response::RailGreens;
 use crate::greens::{Chain, GreensFunctions, GreensSampling, Quantity};
 use crate::identify::IdentifiedSite;
 use crate::inverse::displacement::{DisplacementModel, Rule, RuleForce, RuleSolver};
+use crate::irregularity::irregularity;
 use crate::progress::Progress;
 use crate::reconstruct::{HighPassSearch, Timing, complementary_displacement, high_pass_displacement};
-use crate::signal::{CubicSpline, resample};
+use crate::signal::{CubicSpline, resample, rms};
 use crate::track::Side;
 
 /// Sampling of the displacement methods, as in the published script of the field chains.
@@ -25,6 +27,9 @@ const NEIGHBOUR_M: f64 = 17.0;
 /// relative to: one passage in six then gets a corner of 0.3 Hz and forces of several times the true ones.
 const HIGH_PASS: HighPassSearch =
     HighPassSearch { corner_hz: [0.8, 6.0], steps: 24, clear_m: 6.0, physical_uplift: 0.1 };
+/// Rate and band of the moving response (eq. 13), and the stretch in which a force counts for it, metres.
+const RAIL: GreensSampling = GreensSampling { rate_hz: 800.0, len: 512, band_hz: [260.0, 330.0] };
+const RAIL_HALF_M: f64 = 4.0;
 /// Samples of static force assumed around the region where a force is low-passed.
 const SURROUND: usize = 512;
 
@@ -44,6 +49,7 @@ pub(super) enum Chains {
 pub(super) struct DisplacementChain<'a> {
     identified: &'a IdentifiedSite<'a>,
     greens: GreensFunctions,
+    rail: RailGreens,
     region_m: [f64; 2],
 }
 
@@ -59,7 +65,8 @@ impl<'a> DisplacementChain<'a> {
             Quantity::Displacement,
             &Chain::Corrected,
         )?;
-        Ok(Self { identified, greens, region_m: identified.prior.region_m })
+        let rail = RailGreens::of_crossing_rail(track, &distribution, RAIL_HALF_M, RAIL);
+        Ok(Self { identified, greens, rail, region_m: identified.prior.region_m })
     }
 
     /// The analysis with forces and displacement replaced by those of a chain.
@@ -108,9 +115,28 @@ impl<'a> DisplacementChain<'a> {
             wheel.peak_force_n = Interval { value: peak, lower: f64::NAN, upper: f64::NAN };
             wheel.lower_n.fill(f64::NAN);
             wheel.upper_n.fill(f64::NAN);
+            wheel.irregularity_m = self.irregularity_m(index, &spline, &wheel.position_m);
+            wheel.irregularity_rms_m = rms(&wheel.irregularity_m);
         }
         out.displacement_m = resample(&displacement, out.displacement_m.len());
         Ok(out)
+    }
+
+    /// Irregularity (eq. 13–16) from a force that is static outside the region.
+    fn irregularity_m(&self, index: usize, force_n: &CubicSpline, grid_m: &[f64]) -> Vec<f64> {
+        let (speed, static_n) =
+            (self.identified.timings[index].speed_m_s, self.identified.static_force_n[index]);
+        let (_, position_m) = own_positions(self.identified.direction, speed, RAIL_HALF_M, RAIL.rate_hz);
+        let force = WheelForce {
+            wheelset: 0,
+            force_n: position_m
+                .iter()
+                .map(|x| if self.inside(*x) { force_n.at(*x) } else { static_n })
+                .collect(),
+            sd_n: vec![0.0; position_m.len()],
+            position_m,
+        };
+        irregularity(&force, speed, static_n, &self.rail, &self.identified.site.crossing.vehicle, grid_m)
     }
 
     /// Displacement at the rate of the recording, metres.

@@ -1,0 +1,106 @@
+//! Limits that the method states for itself, as flags on results (paper, section 6.3).
+//!
+//! | flag | limit |
+//! |---|---|
+//! | `low-speed` | under 40 km/h the dynamic forces are near the sensor noise |
+//! | `clipped` | the sensor saturated: integration drifts, ballast and forces may be far off |
+//! | `unknown-train` | a train type that is not the site's: masses and axle pattern are not known |
+//! | `freight` | freight trains: wheelset mass and load are not known, the method is not made for them |
+//! | `unlike-load` | axle load more than 10 % off the site's vehicle: forces follow in proportion |
+//! | `large-deflection` | beyond 3 mm ballast is not linear: voids, which no linear track explains |
+//!
+//! A flag changes nothing else; it says how far to trust.
+
+/// Speed below which the method is weak, m/s: 40 km/h.
+const LOW_SPEED_M_S: f64 = 40.0 / 3.6;
+/// Share of the sensor's range that counts as saturated.
+const CLIPPED: f64 = 0.999;
+/// Words that freight trains go by in train types.
+const FREIGHT: [&str; 5] = ["freight", "goods", "cargo", "güter", "gods"];
+/// Axle load of freight wagons and heavy locomotives, kg; passenger cars and multiple units are below.
+const FREIGHT_AXLE_KG: f64 = 20_500.0;
+/// Relative difference to the site's axle load.
+const UNLIKE_LOAD: f64 = 0.1;
+/// Sleeper displacement, metres: the paper's linear panels reach 1 mm, its voided one 6 mm.
+const LARGE_DEFLECTION_M: f64 = 3e-3;
+
+/// What the flags of one passage depend on.
+#[derive(Clone, Debug)]
+pub struct PassageLimits<'a> {
+    /// m/s.
+    pub speed_m_s: f64,
+    /// Largest |acceleration| of the raw recording, m/s².
+    pub largest_m_s2: f64,
+    /// Range of the sensor, m/s².
+    pub range_m_s2: f64,
+    /// Type of the recorded train.
+    pub train_type: &'a str,
+    /// Type of the site's vehicle.
+    pub vehicle_type: &'a str,
+    /// Axle load of the recorded train, kg.
+    pub axle_load_kg: f64,
+    /// Axle load of the site's vehicle, kg.
+    pub vehicle_axle_load_kg: f64,
+    /// Reconstructed displacement of the sleeper, metres, positive down.
+    pub displacement_m: &'a [f64],
+}
+
+impl PassageLimits<'_> {
+    /// Flags in a fixed order.
+    pub fn flags(&self) -> Vec<String> {
+        let train = self.train_type.to_lowercase();
+        let freight = FREIGHT.iter().any(|w| train.contains(w)) || self.axle_load_kg > FREIGHT_AXLE_KG;
+        let unlike = (self.axle_load_kg / self.vehicle_axle_load_kg - 1.0).abs() > UNLIKE_LOAD;
+        let deepest = self.displacement_m.iter().copied().fold(0.0, f64::max);
+        [
+            ("low-speed", self.speed_m_s < LOW_SPEED_M_S),
+            ("clipped", self.largest_m_s2 >= CLIPPED * self.range_m_s2),
+            ("unknown-train", self.train_type != self.vehicle_type),
+            ("freight", freight),
+            ("unlike-load", unlike),
+            ("large-deflection", deepest > LARGE_DEFLECTION_M),
+        ]
+        .into_iter()
+        .filter(|(_, reached)| *reached)
+        .map(|(name, _)| name.to_string())
+        .collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn sound() -> PassageLimits<'static> {
+        PassageLimits {
+            speed_m_s: 44.0,
+            largest_m_s2: 120.0,
+            range_m_s2: 490.5,
+            train_type: "X2",
+            vehicle_type: "X2",
+            axle_load_kg: 15_500.0,
+            vehicle_axle_load_kg: 15_500.0,
+            displacement_m: &[0.0, 0.8e-3, -0.1e-3],
+        }
+    }
+
+    #[test]
+    fn paper_limits_are_flagged_one_by_one() {
+        assert!(sound().flags().is_empty());
+        let one = |limits: PassageLimits, flag: &str| assert_eq!(limits.flags(), [flag], "{limits:?}");
+        one(PassageLimits { speed_m_s: 11.0, ..sound() }, "low-speed");
+        one(PassageLimits { largest_m_s2: 490.4, ..sound() }, "clipped");
+        one(PassageLimits { train_type: "X2000", ..sound() }, "unknown-train");
+        one(PassageLimits { train_type: "Goods", vehicle_type: "Goods", ..sound() }, "freight");
+        let heavy = PassageLimits { axle_load_kg: 22_500.0, vehicle_axle_load_kg: 22_500.0, ..sound() };
+        one(heavy, "freight");
+        one(PassageLimits { axle_load_kg: 18_000.0, ..sound() }, "unlike-load");
+        one(PassageLimits { displacement_m: &[6e-3], ..sound() }, "large-deflection");
+    }
+
+    #[test]
+    fn property_several_limits_keep_their_order() {
+        let bad = PassageLimits { speed_m_s: 5.0, train_type: "freight", displacement_m: &[4e-3], ..sound() };
+        assert_eq!(bad.flags(), ["low-speed", "unknown-train", "freight", "large-deflection"]);
+    }
+}

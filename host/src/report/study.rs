@@ -1,0 +1,20 @@
+//! Figures of the studies, as SVG files of their own.
+
+mod lowpass;
+mod samples;
+mod simulation;
+
+pub use lowpass::figures as lowpass;
+pub use samples::figures as samples;
+pub use simulation::{figures as simulation, greens};
+
+/// A figure: name of the file without ending, and the SVG.
+pub type NamedSvg = (String, String);
+
+/// A table as Markdown, title and note included.
+pub fn markdown(table: &crate::verification::Table) -> String {
+    let line = |cells: &[String]| format!("| {} |\n", cells.join(" | "));
+    let rule: Vec<String> = table.columns.iter().map(|_| "---".to_string()).collect();
+    let rows: String = table.rows.iter().map(|r| line(r)).collect();
+    format!("**{}**\n\n{}\n\n{}{}{rows}", table.title, table.note, line(&table.columns), line(&rule))
+}

@@ -51,6 +51,7 @@ fn regress_verification_page_shows_failures() {
         expected: 1.0,
         found,
         tolerance: 0.01,
+        at_most: false,
         curves: Some(Curves {
             x_caption: "frequency, Hz",
             y_caption: "receptance, m/N",

@@ -758,10 +758,22 @@ impl<'a> Session<'a> {
         let after_responses = simulate(&after_world, frame, &all)?;
         progress.step();
         let latent: Vec<&LatentFit> = self.latent_fits.iter().map(|(_, f)| f).collect();
-        let predicted =
-            predictions(frame, (base_world, &base_responses), (&after_world, &after_responses), &latent);
-        let held_out: Vec<Prediction> = self.split.test.iter().map(|i| predicted[*i].clone()).collect();
-        let gap = measure(&held_out, !self.named.is_empty());
+        let base = (base_world, base_responses.as_slice());
+        let mut predicted = predictions(frame, base, (&after_world, &after_responses), &latent);
+        let held_out = |predicted: &[Prediction]| -> Vec<Prediction> {
+            self.split.test.iter().map(|i| predicted[*i].clone()).collect()
+        };
+        let mut gap = measure(&held_out(&predicted), !self.named.is_empty());
+        if !self.named.is_empty() && gap.closed_fraction_ci90[1] < 0.0 {
+            self.remarks.push(withdrawn(&self.named, &gap));
+            for r in self.ranking.iter_mut().filter(|r| self.named.iter().any(|n| n.name == r.name)) {
+                r.probability = r.probability.min(1.0 - MOST_SURE);
+            }
+            self.named.clear();
+            predicted = predictions(frame, base, base, &[]);
+            gap = measure(&held_out(&predicted), false);
+        }
+        let held_out = held_out(&predicted);
         let residuals = super::where_::residuals(&predicted, frame, &self.split.test);
         let depends_on = super::where_::depends_on(&residuals, &self.named);
         let position_m = super::where_::positions(&predicted);
@@ -814,6 +826,18 @@ impl<'a> Session<'a> {
             }
         }
     }
+}
+
+/// What is said of effects that predict the held-out passages worse than the base model does.
+fn withdrawn(named: &[Named], gap: &Gap) -> String {
+    let names: Vec<&str> = named.iter().map(|n| n.name).collect();
+    format!(
+        "{} would explain the passages used for the search, but predict the held-out ones worse (gap {:.3} instead of {:.3}): \
+         withdrawn",
+        names.join(" and "),
+        gap.after,
+        gap.before
+    )
 }
 
 /// Search for the axle times of held-out passages, metres.

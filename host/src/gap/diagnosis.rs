@@ -376,6 +376,14 @@ impl<'a> Session<'a> {
             ));
             return false;
         }
+        if site.scan.is_none() && observed.iter().all(|o| o.operator_m_s.is_none()) {
+            self.remarks.push(
+                "neither a laser scan nor speeds: path, load and clock take over from one another; no effect is looked for, add \
+                 one of the two"
+                    .into(),
+            );
+            return false;
+        }
         if site.scan.is_some() && self.scan_is_foreign(site, before) {
             self.remarks.push(
                 "the laser scan does not belong to these recordings: without it they are predicted far better, over another \

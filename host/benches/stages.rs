@@ -70,12 +70,8 @@ fn of_ballast(group: &mut Stages, identified: &IdentifiedSite) {
             static_force_n: identified.static_force_n[i],
         })
         .collect();
-    let problem = EvidenceProblem {
-        track,
-        direction: identified.direction,
-        pattern,
-        vehicle: &identified.site.crossing.vehicle,
-    };
+    let vehicle = &identified.site.crossing.vehicle;
+    let problem = EvidenceProblem::new(track, identified.direction, pattern, vehicle);
     group.bench_function("one linearisation of the calibration, 8 passages", |b| {
         b.iter(|| problem.posterior(black_box(&identified.calibration), &passages).unwrap())
     });

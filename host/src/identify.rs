@@ -118,7 +118,7 @@ pub fn identify<'s>(site: &'s Site, progress: &dyn Progress) -> Result<Identifie
             static_force_n: static_force_n[i],
         })
         .collect();
-    let problem = EvidenceProblem { track: &track, direction, pattern: &pattern, vehicle: &crossing.vehicle };
+    let problem = EvidenceProblem::new(&track, direction, &pattern, &crossing.vehicle);
     let (calibration, ballast) = calibrate(&problem, &quasi_static.parameters, &mut passages, progress)?;
     let greens = wide_greens(&track, &ballast.parameters);
     let nearby_greens =
@@ -200,7 +200,7 @@ fn calibrate(
     progress.step();
     // Axle times first: they are far off where the search has not used a passage, and cheap without the derivatives.
     problem.align(&state, passages)?;
-    let fit = problem.converge(&mut state, passages, 2)?;
+    let fit = problem.finish(&mut state, passages)?;
     progress.step();
     Ok((state, fit))
 }
@@ -217,30 +217,27 @@ fn common_force(
     let start = Prior::common_force(direction);
     let mean_speed = mean(&passages.iter().map(|p| p.timing.speed_m_s).collect::<Vec<_>>());
     let grids = ProfileGrids::force(start.half_m, PROFILE_STEP_M.0, PROFILE_STEP_M.1, mean_speed);
-    let posterior = |prior: &Prior, profile: &CommonProfile, passages: &[SitePassage]| {
-        SiteModel {
-            model: TrackModel { greens, excitation: Excitation::Force },
-            moved: Vec::new(),
-            direction,
-            pattern,
-            prior,
-            profile,
-            common_shift_sd_m: SHIFT_SD_M.0,
-            passage_shift_sd_m: SHIFT_SD_M.1,
-            speed_sd: SPEED_SD,
-            temperature: TEMPERATURE,
-        }
-        .posterior(passages)
-    };
     let zero = CommonProfile::zero(grids);
+    let model = SiteModel {
+        model: TrackModel { greens, excitation: Excitation::Force },
+        moved: Vec::new(),
+        direction,
+        pattern,
+        prior: &start,
+        profile: &zero,
+        common_shift_sd_m: SHIFT_SD_M.0,
+        passage_shift_sd_m: SHIFT_SD_M.1,
+        speed_sd: SPEED_SD,
+        temperature: TEMPERATURE,
+    };
     let some = spread_out(passages, HYPER_PASSAGES);
-    let evidence = |prior: &Prior| Ok(posterior(prior, &zero, &some)?.log_evidence);
-    let (prior, _) = refine(&start, &FORCE, &evidence)?;
+    let prior = refine(&start, &FORCE, &|prior| SiteModel { prior, ..model.clone() }.log_evidence(&some))?;
     progress.step();
     // The profile that a few passages show is good enough to linearise about.
-    let rough = posterior(&prior, &zero, &some)?.profile;
+    let model = SiteModel { prior: &prior, ..model };
+    let rough = model.posterior(&some)?.profile;
     progress.step();
-    let all = posterior(&prior, &rough, passages)?;
+    let all = SiteModel { profile: &rough, ..model }.posterior(passages)?;
     realign(passages, &all);
     progress.step();
     Ok((prior, all))

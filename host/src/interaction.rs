@@ -8,8 +8,11 @@
 //! are coupled by the sleepers, by the wheelsets' roll and by the bogie frame; the two wheelsets of a bogie are too far
 //! apart to feel each other through the rail.
 
-use faer::linalg::solvers::{PartialPivLu, Solve as _};
-use faer::{Mat, c64};
+use std::sync::Arc;
+
+use faer::linalg::matmul::matmul;
+use faer::linalg::solvers::DenseSolveCore as _;
+use faer::{Accum, Mat, MatRef, Par, c64};
 
 use crate::greens::GreensSampling;
 use crate::greens::moving_response::RailGreens;
@@ -24,15 +27,16 @@ pub struct Interaction {
     rails: [[RailGreens; 2]; 2],
     /// Deflection under a wheel per static force on its companion's wheels, m/N, along x: `[rail][companion at larger x]`.
     companion: [[CubicSpline; 2]; 2],
-    bogie: BogieResponses,
+    bogie: Arc<BogieResponses>,
+}
+
+/// A bogie without track: displacement of a contact per force impulse on contacts of the same bogie, on the same rail and
+/// on the other one.
+#[derive(Clone, Debug)]
+pub struct BogieResponses {
     sampling: GreensSampling,
     hertz_constant_n_m15: f64,
     axle_spacing_m: f64,
-}
-
-/// Displacement of a contact per force impulse on contacts of the same bogie, on the same rail and on the other one.
-#[derive(Clone, Debug)]
-struct BogieResponses {
     /// Of the same wheelset, periodic time series, metres per newton at one sample.
     same_wheelset: [Vec<f64>; 2],
     /// Of the other wheelset, spectra of the same.
@@ -45,35 +49,26 @@ pub struct Motion<'a> {
     position_m: &'a [f64],
     direction: f64,
     static_force_n: f64,
-    /// Factorised compliance of the contacts, in the order leading crossing, leading stock, trailing crossing, trailing
-    /// stock; every one on its wheel's own clock.
-    compliance: PartialPivLu<f64>,
-    /// Deflection of each rail under the wheel's own constant load on both rails, per newton, `[crossing, stock]`.
-    moving_load: [Vec<f64>; 2],
+    /// Inverse of the compliance of the contacts, N/m, in the order leading crossing, leading stock, trailing crossing,
+    /// trailing stock; every one on its wheel's own clock. With so many right-hand sides, most of them zero on most
+    /// contacts, the inverse costs less than they would.
+    stiffness: Mat<f64>,
+    rails: RailKernels,
 }
 
-/// Axle (0 leading, 1 trailing) and rail (0 crossing, 1 stock).
-const CONTACTS: [(i8, usize); 4] = [(0, 0), (0, 1), (1, 0), (1, 1)];
+/// Deflection under a wheel per force on it at its own samples, `[read][loaded]`: positions × positions, m/N.
+type RailKernels = [[Mat<f64>; 2]; 2];
 
 /// One column set per contact: `[leading, trailing][crossing, stock]`, positions × cases.
 pub type Contacts = [[Mat<f64>; 2]; 2];
 
 impl Interaction {
     /// For forces within `half_m` of x = 0.
-    pub fn new(
-        track: &Track,
-        ballast_n_m2: &[f64],
-        vehicle: &Vehicle,
-        half_m: f64,
-        sampling: GreensSampling,
-    ) -> Self {
+    pub fn new(track: &Track, ballast_n_m2: &[f64], bogie: &Arc<BogieResponses>, half_m: f64) -> Self {
         Self {
-            rails: RailGreens::of_both_rails(track, ballast_n_m2, half_m, sampling),
-            companion: companion_compliance(track, ballast_n_m2, half_m, vehicle.axle_spacing_m),
-            bogie: BogieResponses::new(vehicle, sampling),
-            sampling,
-            hertz_constant_n_m15: vehicle.hertz_constant_n_m15,
-            axle_spacing_m: vehicle.axle_spacing_m,
+            rails: RailGreens::of_both_rails(track, ballast_n_m2, half_m, bogie.sampling),
+            companion: companion_compliance(track, ballast_n_m2, half_m, bogie.axle_spacing_m),
+            bogie: Arc::clone(bogie),
         }
     }
 
@@ -86,42 +81,35 @@ impl Interaction {
         static_force_n: f64,
     ) -> Motion<'a> {
         let n = position_m.len();
-        let delay = self.axle_spacing_m / speed_m_s * self.sampling.rate_hz;
-        let contact = 1.0 / (1.5 * self.hertz_constant_n_m15.powf(2.0 / 3.0) * static_force_n.cbrt());
+        let delay = self.bogie.axle_spacing_m / speed_m_s * self.bogie.sampling.rate_hz;
+        let contact = 1.0 / (1.5 * self.bogie.hertz_constant_n_m15.powf(2.0 / 3.0) * static_force_n.cbrt());
         // The trailing wheelset's clock is late: what happens to it comes to the leading one later.
         let to_leading = self.bogie.other_wheelset(delay);
         let to_trailing = self.bogie.other_wheelset(-delay);
+        let rails = self.rail_kernels(position_m);
         let mut compliance = Mat::zeros(4 * n, 4 * n);
-        let mut moving_load = [vec![0.0; n], vec![0.0; n]];
-        let reach = position_m.iter().fold(0.0, |m: f64, x| m.max(x.abs()));
-        let coming =
-            |i: usize| if i < n / 2 { 1.0 - taper(reach - position_m[i].abs(), 0.0, RAMP_M) } else { 1.0 };
-        for (read_axle, read) in CONTACTS {
-            for (loaded_axle, loaded) in CONTACTS {
-                let series = match loaded_axle - read_axle {
-                    0 => &self.bogie.same_wheelset[usize::from(read != loaded)],
-                    1 => &to_leading[usize::from(read != loaded)],
-                    _ => &to_trailing[usize::from(read != loaded)],
-                };
-                let mut block = toeplitz(series, n);
-                if read_axle == loaded_axle {
-                    let rail = self.rails[read][loaded].kernel(position_m);
-                    if read_axle == 0 {
-                        for (k, deflection) in moving_load[read].iter_mut().enumerate() {
-                            *deflection += (0..n).map(|j| coming(j) * rail[(k, j)]).sum::<f64>();
-                        }
-                    }
-                    block += rail;
-                }
-                let (row, column) = (read_axle as usize * 2 + read, loaded_axle as usize * 2 + loaded);
-                compliance.submatrix_mut(row * n, column * n, n, n).copy_from(&block);
-            }
+        for (read, loaded) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
+            let rail = usize::from(read != loaded);
+            // Both wheelsets meet the same rails and have the same inertia.
+            let own = &rails[read][loaded] + toeplitz(&self.bogie.same_wheelset[rail], n);
+            let mut put = |axle_read: usize, axle_loaded: usize, block: &Mat<f64>| {
+                let (row, column) = (2 * axle_read + read, 2 * axle_loaded + loaded);
+                compliance.submatrix_mut(row * n, column * n, n, n).copy_from(block);
+            };
+            put(0, 0, &own);
+            put(1, 1, &own);
+            put(0, 1, &toeplitz(&to_leading[rail], n));
+            put(1, 0, &toeplitz(&to_trailing[rail], n));
         }
         for i in 0..4 * n {
             compliance[(i, i)] += contact;
         }
-        let compliance = compliance.partial_piv_lu();
-        Motion { interaction: self, position_m, direction, static_force_n, compliance, moving_load }
+        let stiffness = compliance.partial_piv_lu().inverse();
+        Motion { interaction: self, position_m, direction, static_force_n, stiffness, rails }
+    }
+
+    fn rail_kernels(&self, position_m: &[f64]) -> RailKernels {
+        [0, 1].map(|read: usize| [0, 1].map(|loaded: usize| self.rails[read][loaded].kernel(position_m)))
     }
 }
 
@@ -130,52 +118,101 @@ fn toeplitz(series: &[f64], n: usize) -> Mat<f64> {
     Mat::from_fn(n, n, |k, j| series[(k as i64 - j as i64).rem_euclid(series.len() as i64) as usize])
 }
 
+/// For every axle and rail.
+fn contacts(of: impl Fn(usize, usize) -> Mat<f64>) -> Contacts {
+    [0, 1].map(|axle: usize| [0, 1].map(|rail: usize| of(axle, rail)))
+}
+
 impl Motion<'_> {
-    /// Force deviations, newtons per unit of the columns, for irregularities (metres per unit) under the contacts.
-    pub fn solve(&self, irregularity_m: &Contacts) -> Contacts {
+    /// Force at the contact `[axle, rail]` per displacement at another.
+    fn between(&self, [axle, rail]: [usize; 2], [other_axle, other_rail]: [usize; 2]) -> MatRef<'_, f64> {
         let n = self.position_m.len();
-        let cases = irregularity_m[0][0].ncols();
-        let mut all = Mat::zeros(4 * n, cases);
-        for (k, contact) in irregularity_m.iter().flatten().enumerate() {
-            all.submatrix_mut(k * n, 0, n, cases).copy_from(contact);
-        }
-        let force = -self.compliance.solve(&all);
-        [0, 1].map(|axle: usize| {
-            [0, 1].map(|rail: usize| force.submatrix((2 * axle + rail) * n, 0, n, cases).to_owned())
+        self.stiffness.submatrix((2 * axle + rail) * n, (2 * other_axle + other_rail) * n, n, n)
+    }
+
+    /// Force deviations, newtons, for irregularities (metres) under the contacts; one column each.
+    pub fn solve(&self, irregularity_m: &Contacts) -> Contacts {
+        contacts(|axle, rail| {
+            let from = |a: usize, r: usize| self.between([axle, rail], [a, r]) * &irregularity_m[a][r];
+            -(from(0, 0) + from(0, 1) + from(1, 0) + from(1, 1))
+        })
+    }
+
+    /// Force deviations, newtons per unit, for irregularities of the rails that both wheelsets meet, `[crossing, stock]`,
+    /// metres per unit. Columns: first those of the crossing rail, then those of the stock rail.
+    pub fn solve_shared(&self, irregularity_m: &[Mat<f64>; 2]) -> Contacts {
+        let n = self.position_m.len();
+        let columns = irregularity_m[0].ncols() + irregularity_m[1].ncols();
+        contacts(|axle, rail| {
+            let mut out = Mat::zeros(n, columns);
+            let mut first = 0;
+            for (r, shape) in irregularity_m.iter().enumerate() {
+                let both = self.between([axle, rail], [0, r]) + self.between([axle, rail], [1, r]);
+                let target = out.subcols_mut(first, shape.ncols());
+                matmul(target, Accum::Replace, &both, shape, -1.0, Par::Seq);
+                first += shape.ncols();
+            }
+            out
         })
     }
 
     /// Force deviation of every contact for irregularities under that contact alone, `[crossing, stock]`.
     pub fn solve_alone(&self, irregularity_m: &[Mat<f64>; 2]) -> Contacts {
-        let n = self.position_m.len();
-        [0, 1].map(|axle: usize| {
-            [0, 1].map(|rail: usize| {
-                let (first, cases) = ((2 * axle + rail) * n, irregularity_m[rail].ncols());
-                let mut all = Mat::zeros(4 * n, cases);
-                all.submatrix_mut(first, 0, n, cases).copy_from(&irregularity_m[rail]);
-                let force = self.compliance.solve(&all);
-                -force.submatrix(first, 0, n, cases)
-            })
-        })
+        contacts(|axle, rail| -(self.between([axle, rail], [axle, rail]) * &irregularity_m[rail]))
     }
 
+    /// Force deviations under the track of `other`, which is so near this one that its compliance may stand in for the
+    /// other's in what the difference makes (an error of the difference squared); `force_n` are those under this track,
+    /// one column per contact.
+    ///
+    /// With C d = −(z + w_s) here and C′ d′ = −(z + w_s′) there, C (d′ − d) ≈ −(w_s′ − w_s) − (C′ − C) d, and only the
+    /// rails of C differ.
+    pub fn nearby(&self, other: &Interaction, force_n: &Contacts) -> Contacts {
+        let there = other.rail_kernels(self.position_m);
+        let (w, w_there) = (
+            self.load_deflection_m(),
+            other.load_deflection_m(&there, self.position_m, self.direction, self.static_force_n),
+        );
+        let moved = contacts(|axle, read| {
+            let of =
+                |loaded: usize| (&there[read][loaded] - &self.rails[read][loaded]) * &force_n[axle][loaded];
+            &w_there[axle][read] - &w[axle][read] + of(0) + of(1)
+        });
+        let change = self.solve(&moved);
+        contacts(|axle, rail| &force_n[axle][rail] + &change[axle][rail])
+    }
+
+    /// Variation of the deflection under the constant load along the positions: [`Interaction::load_deflection_m`].
+    pub fn load_deflection_m(&self) -> Contacts {
+        self.interaction.load_deflection_m(&self.rails, self.position_m, self.direction, self.static_force_n)
+    }
+}
+
+impl Interaction {
     /// Variation of the deflection under the constant load along the positions, metres, relative to the ends, where it
     /// fades in: a constant deflection moves the whole vehicle and makes no force. The ballast's damping makes the
     /// deflection lag behind that of a standing load by several milliseconds. One column.
-    pub fn load_deflection_m(&self) -> Contacts {
-        let n = self.position_m.len();
-        let reach = self.position_m.iter().fold(0.0, |m: f64, x| m.max(x.abs()));
+    fn load_deflection_m(
+        &self,
+        rails: &RailKernels,
+        position_m: &[f64],
+        direction: f64,
+        static_force_n: f64,
+    ) -> Contacts {
+        let n = position_m.len();
+        let reach = position_m.iter().fold(0.0, |m: f64, x| m.max(x.abs()));
+        let from_end = |i: usize| reach - position_m[i].abs();
+        let coming =
+            Mat::from_fn(n, 1, |i, _| if i < n / 2 { 1.0 - taper(from_end(i), 0.0, RAMP_M) } else { 1.0 });
+        let moving_load = [0, 1].map(|read: usize| &rails[read][0] * &coming + &rails[read][1] * &coming);
         [0, 1].map(|axle: usize| {
             // The companion of the leading wheel is behind it: at smaller x in facing direction.
-            let companion_ahead_in_x = (axle == 1) == (self.direction > 0.0);
+            let companion_ahead_in_x = (axle == 1) == (direction > 0.0);
             [0, 1].map(|rail: usize| {
-                let spline = &self.interaction.companion[rail][usize::from(companion_ahead_in_x)];
+                let spline = &self.companion[rail][usize::from(companion_ahead_in_x)];
                 let value: Vec<f64> = (0..n)
-                    .map(|i| {
-                        self.static_force_n * (self.moving_load[rail][i] + spline.at(self.position_m[i]))
-                    })
+                    .map(|i| static_force_n * (moving_load[rail][(i, 0)] + spline.at(position_m[i])))
                     .collect();
-                let from_end = |i: usize| reach - self.position_m[i].abs();
                 let ends: Vec<f64> =
                     (0..n).filter(|i| (RAMP_M..END_M).contains(&from_end(*i))).map(|i| value[i]).collect();
                 let level = crate::signal::mean(&ends);
@@ -224,8 +261,8 @@ const BOGIE_PERIODS: usize = 32;
 
 impl BogieResponses {
     /// Two rigid wheelsets (heave and roll) on primary suspensions under a rigid frame (heave, pitch and roll).
-    fn new(vehicle: &Vehicle, sampling: GreensSampling) -> Self {
-        let sampling = GreensSampling { len: BOGIE_PERIODS * sampling.len, ..sampling };
+    pub fn new(vehicle: &Vehicle, track_sampling: GreensSampling) -> Self {
+        let sampling = GreensSampling { len: BOGIE_PERIODS * track_sampling.len, ..track_sampling };
         let mut spectra: [Vec<c64>; 4] = std::array::from_fn(|_| Vec::with_capacity(sampling.len / 2));
         for f in sampling.frequencies_hz() {
             let gain = taper(f, sampling.band_hz[0], sampling.band_hz[1]);
@@ -238,6 +275,9 @@ impl BogieResponses {
             s
         });
         Self {
+            sampling: track_sampling,
+            hertz_constant_n_m15: vehicle.hertz_constant_n_m15,
+            axle_spacing_m: vehicle.axle_spacing_m,
             same_wheelset: [irfft(&own, sampling.len), irfft(&across, sampling.len)],
             other_wheelset: [along, diagonal],
         }

@@ -16,4 +16,4 @@ mod wheel;
 pub use estimator::{Estimator, GroupGeometry, InverseError, expected_window};
 pub use prior::{Prior, Spread};
 pub use profile::{CommonProfile, PositionGrid, ProfileGrids, WheelClass};
-pub use wheel::{Excitation, Running, TrackModel, mean_deviations_n};
+pub use wheel::{Excitation, Running, TrackModel};

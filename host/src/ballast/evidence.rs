@@ -5,12 +5,14 @@
 //! an unknown with a prior, so nothing has to be filtered away. The model is linearised in the ballast (Gauss-Newton on
 //! the marginal likelihood), so that ballast, irregularity and positions come out of one linear-Gaussian posterior.
 
+use std::sync::Arc;
+
 use faer::Mat;
 use rayon::prelude::*;
 
 use super::BallastParameters;
 use crate::greens::{Chain, GreensFunctions, GreensSampling, Quantity};
-use crate::interaction::Interaction;
+use crate::interaction::{BogieResponses, Interaction};
 use crate::inverse::hierarchy::{Moved, SiteModel, SitePassage, SitePosterior};
 use crate::inverse::hyper::{IRREGULARITY, refine};
 use crate::inverse::{CommonProfile, Excitation, InverseError, Prior, ProfileGrids, TrackModel};
@@ -19,7 +21,6 @@ use crate::track::Track;
 use crate::vehicle::AxlePattern;
 
 /// Everything of a site that stays fixed while the ballast is varied.
-#[derive(Clone, Copy)]
 pub struct EvidenceProblem<'a> {
     /// Track without ballast.
     pub track: &'a Track,
@@ -27,8 +28,7 @@ pub struct EvidenceProblem<'a> {
     pub direction: f64,
     /// Axle pattern of the trains.
     pub pattern: &'a AxlePattern,
-    /// Vehicle.
-    pub vehicle: &'a Vehicle,
+    bogie: Arc<BogieResponses>,
 }
 
 /// Prior of the shape p3: between a smooth minimum under the crossing sleeper (q = s², p3 = 0.25) and a cusp (linear,
@@ -49,8 +49,10 @@ const PROFILE_STEP_M: (f64, f64) = (0.1, 0.2);
 pub const DIFFERENCE: [f64; 3] = [0.02, 0.02, 0.02];
 /// Largest change of (ln p1, ln p2, p3) in one linearisation.
 const TRUST: [f64; 3] = [0.3, 0.4, 0.2];
-/// Converged when no parameter moves by more than this.
+/// Converged when no parameter moves by more than this: the search over a few passages, which the posterior over all
+/// follows, and that posterior itself, whose next step is about a tenth of the one before and far below its spread.
 const TOLERANCE: f64 = 0.004;
+const LAST_TOLERANCE: f64 = 0.03;
 
 /// State of the calibration: what is known of a site so far.
 #[derive(Clone, Debug)]
@@ -87,7 +89,13 @@ impl Calibration {
     }
 }
 
-impl EvidenceProblem<'_> {
+impl<'a> EvidenceProblem<'a> {
+    /// On the track of a crossing.
+    pub fn new(track: &'a Track, direction: f64, pattern: &'a AxlePattern, vehicle: &Vehicle) -> Self {
+        let bogie = Arc::new(BogieResponses::new(vehicle, GreensSampling::low()));
+        Self { track, direction, pattern, bogie }
+    }
+
     /// Linearises until ballast and axle times stay, at most `rounds` times; moves the axle times of the passages.
     pub fn converge(
         &self,
@@ -95,13 +103,32 @@ impl EvidenceProblem<'_> {
         passages: &mut [SitePassage],
         rounds: usize,
     ) -> Result<EvidenceFit, InverseError> {
+        self.until(state, passages, rounds, TOLERANCE)
+    }
+
+    /// The same close to the optimum, over all passages.
+    pub fn finish(
+        &self,
+        state: &mut Calibration,
+        passages: &mut [SitePassage],
+    ) -> Result<EvidenceFit, InverseError> {
+        self.until(state, passages, 3, LAST_TOLERANCE)
+    }
+
+    fn until(
+        &self,
+        state: &mut Calibration,
+        passages: &mut [SitePassage],
+        rounds: usize,
+        tolerance: f64,
+    ) -> Result<EvidenceFit, InverseError> {
         let mut evaluations = 0;
         loop {
             let posterior = self.posterior(state, passages)?;
             evaluations += 1;
             let largest = state.advance(&posterior);
             realign(passages, &posterior);
-            if largest < TOLERANCE || evaluations >= rounds {
+            if largest < tolerance || evaluations >= rounds {
                 return Ok(EvidenceFit {
                     parameters: state.ballast,
                     covariance: last_of(&posterior.covariance),
@@ -129,18 +156,11 @@ impl EvidenceProblem<'_> {
         passages: &[SitePassage],
     ) -> Result<SitePosterior, InverseError> {
         let z = state.ballast.to_vector();
-        let vectors: Vec<[f64; 3]> = std::iter::once(z)
-            .chain((0..3).map(|k| {
-                let mut moved = z;
-                moved[k] += DIFFERENCE[k];
-                moved
-            }))
+        let ballasts: Vec<BallastParameters> = std::iter::once(state.ballast)
+            .chain((0..3).map(|k| state.ballast.moved(k, DIFFERENCE[k])))
             .collect();
         let half_m = state.prior.half_m;
-        let models: Vec<LowModel> = vectors
-            .par_iter()
-            .map(|v| LowModel::new(self, &BallastParameters::from_vector(v), half_m))
-            .collect();
+        let models: Vec<LowModel> = ballasts.par_iter().map(|b| LowModel::new(self, b, half_m)).collect();
         let prior_of = |k: usize| if k < 2 { STIFFNESS_PRIOR } else { P3_PRIOR };
         let moved = (0..3).map(|k| Moved {
             model: models[k + 1].track_model(),
@@ -154,10 +174,9 @@ impl EvidenceProblem<'_> {
     pub fn refined(&self, state: &Calibration, passages: &[SitePassage]) -> Result<Prior, InverseError> {
         let model = LowModel::new(self, &state.ballast, state.prior.half_m);
         let evidence = |prior: &Prior| {
-            let site = self.site_model(&model, Vec::new(), prior, &state.irregularity);
-            Ok(site.posterior(passages)?.log_evidence)
+            self.site_model(&model, Vec::new(), prior, &state.irregularity).log_evidence(passages)
         };
-        Ok(refine(&state.prior, &IRREGULARITY, &evidence)?.0)
+        refine(&state.prior, &IRREGULARITY, &evidence)
     }
 
     fn site_model<'m>(
@@ -216,7 +235,7 @@ impl LowModel {
         let quantity = Quantity::Acceleration;
         Self {
             greens: GreensFunctions::new(track, &distribution, sampling, quantity, &Chain::Corrected),
-            interaction: Interaction::new(track, &distribution, problem.vehicle, half_m, sampling),
+            interaction: Interaction::new(track, &distribution, &problem.bogie, half_m),
         }
     }
 

@@ -92,33 +92,49 @@ pub struct PassingResponse {
     /// Samples that are not zero.
     support: usize,
     padded: usize,
+    series: Vec<f64>,
     spectrum: Vec<c64>,
 }
 
 impl PassingResponse {
-    /// Of the force `force_n(side, own sample, x)`, faded out towards the rail ends like [`constant_force_response`]; to be
-    /// placed in windows of up to `window_len` samples.
-    pub fn new(
+    /// Of a constant force on both rails, faded out towards the rail ends like [`constant_force_response`]; to be placed in
+    /// windows of up to `window_len` samples.
+    pub fn of_constant(
         greens: &GreensFunctions,
         direction: f64,
         speed_m_s: f64,
         window_len: usize,
-        force_n: impl Fn(Side, i64, f64) -> f64,
+        force_n: f64,
     ) -> Self {
         let rate_hz = greens.sampling.rate_hz;
         let (first, positions) = own_positions(direction, speed_m_s, FADE_M[1], rate_hz);
-        let origin = LEAD - first;
         let support = positions.len() + greens.sampling.len;
         let padded = (support + window_len).next_power_of_two();
-        let mut series = vec![0.0; padded];
-        for (c, x_m) in positions.iter().enumerate() {
-            let j = first + c as i64;
-            for side in [Side::Crossing, Side::Stock] {
-                let force = fade(*x_m) * force_n(side, j, *x_m);
-                greens.add_at(side, *x_m, origin + j, LEAD, force / rate_hz, &mut series);
+        let origin = (LEAD - first) as f64;
+        let silent =
+            Self { rate_hz, origin, support, padded, series: vec![0.0; padded], spectrum: Vec::new() };
+        let constant = vec![force_n; positions.len()];
+        silent.with(greens, first, &positions, [&constant, &constant])
+    }
+
+    /// With forces added on the crossing and the stock rail at positions of the wheel's own clock, from sample `first` on.
+    pub fn with(
+        &self,
+        greens: &GreensFunctions,
+        first: i64,
+        position_m: &[f64],
+        force_n: [&[f64]; 2],
+    ) -> Self {
+        let mut series = self.series.clone();
+        let start = self.origin as i64 + first;
+        for (side, force_n) in [Side::Crossing, Side::Stock].into_iter().zip(force_n) {
+            for ((c, x_m), force_n) in position_m.iter().enumerate().zip(force_n) {
+                let scale = fade(*x_m) * force_n / self.rate_hz;
+                greens.add_at(side, *x_m, start + c as i64, LEAD, scale, &mut series);
             }
         }
-        Self { rate_hz, origin: origin as f64, support, padded, spectrum: rfft(&series) }
+        let spectrum = rfft(&series);
+        Self { series, spectrum, ..*self }
     }
 
     /// Sum over wheels that are at x = 0 at the given window times.

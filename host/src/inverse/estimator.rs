@@ -7,7 +7,7 @@ use faer::{Accum, Mat, MatRef, Par};
 
 use super::Prior;
 use super::profile::{CommonProfile, WheelClass};
-use super::wheel::{Basis, Running, SIDES, TrackModel, Wheel, mean_deviations_n, passing};
+use super::wheel::{Basis, Means, Running, SIDES, TrackModel, Wheel, mean_deviations_n};
 use crate::greens::moving::{PassingResponse, own_clock_kernel, own_positions};
 use crate::track::Side;
 
@@ -106,6 +106,17 @@ impl Estimator {
         prior: &Prior,
         common: &CommonProfile,
     ) -> Result<Self, InverseError> {
+        Ok(Self::with_moved(model, &[], geometry, prior, common)?.0)
+    }
+
+    /// Builds the model of one group, and what it expects ([`Self::expected_m_s2`]) on tracks close to that of `model`.
+    pub fn with_moved(
+        model: &TrackModel,
+        moved: &[TrackModel],
+        geometry: &GroupGeometry,
+        prior: &Prior,
+        common: &CommonProfile,
+    ) -> Result<(Self, Vec<Vec<f64>>), InverseError> {
         let running = geometry.running;
         if !(running.speed_m_s.is_finite() && running.speed_m_s > 0.0) {
             return Err(InverseError::Speed(running.speed_m_s));
@@ -114,8 +125,16 @@ impl Estimator {
         let window = Window::of(geometry, prior, rate_hz);
         let len = window.len;
         let bad = || InverseError::Covariance { len, noise_m_s2: prior.noise_m_s2 };
-        let wheel = Wheel::new(model, &running, prior, common).ok_or_else(bad)?;
-        let expectation = Expectation::new(model, geometry, prior, common, window);
+        let wheel = Wheel::new(model, moved, &running, prior, common).ok_or_else(bad)?;
+        let clock = (wheel.first_sample, wheel.position_m.as_slice());
+        let expectation = Expectation::new(model, &running, window, clock, &wheel.mean_n);
+        let moved_m_s2 = moved
+            .iter()
+            .zip(&wheel.moved_n)
+            .map(|(m, mean_n)| {
+                Expectation::new(m, &running, window, clock, mean_n).window(geometry, common, rate_hz)
+            })
+            .collect();
         let mut covariance = noise_covariance(prior, len);
         let mut profile_response = Mat::zeros(len, common.grids.len());
         let mut axles = Vec::with_capacity(geometry.axle_offset_m.len());
@@ -130,16 +149,16 @@ impl Estimator {
                 class,
                 shaped,
                 static_m_s2,
-                mean_n: expectation.mean_n[usize::from(!class.leading)].clone(),
+                mean_n: wheel.mean_n[usize::from(!class.leading)][0].clone(),
             });
         }
         let factor = covariance.llt(faer::Side::Lower).map_err(|_| bad())?;
         let l = factor.L();
         let log_det_half = (0..len).map(|i| l[(i, i)].ln()).sum();
-        Ok(Self {
+        let estimator = Self {
             rate_hz,
             before: window.before,
-            expected_m_s2: expectation.sum(geometry, common, rate_hz, PassingResponse::window),
+            expected_m_s2: expectation.window(geometry, common, rate_hz),
             expected_slope_m_s3: expectation.sum(geometry, common, rate_hz, PassingResponse::slope),
             running,
             prior: prior.clone(),
@@ -148,7 +167,8 @@ impl Estimator {
             wheel,
             axles,
             profile_response,
-        })
+        };
+        Ok((estimator, moved_m_s2))
     }
 
     /// Window length in samples.
@@ -297,29 +317,28 @@ struct Expectation {
     standing: PassingResponse,
     /// Leading and trailing wheels of bogies with their mean deviations.
     running: [PassingResponse; 2],
-    /// Mean deviations of leading and trailing wheels on the crossing side, newtons.
-    mean_n: [Vec<f64>; 2],
 }
 
 impl Expectation {
+    /// Of mean deviations on a wheel's own clock, from sample `first` on.
     fn new(
         model: &TrackModel,
-        geometry: &GroupGeometry,
-        prior: &Prior,
-        common: &CommonProfile,
+        running: &Running,
         window: Window,
+        (first, position_m): (i64, &[f64]),
+        mean_n: &Means,
     ) -> Self {
-        let running = &geometry.running;
-        let (first, position_m) =
-            own_positions(running.direction, running.speed_m_s, prior.half_m, model.greens.sampling.rate_hz);
-        let deviations = mean_deviations_n(model, running, common, &position_m).map(|wheel| (first, wheel));
-        let of = |deviation| passing(model, running, deviation, window.len);
-        Self {
-            window,
-            standing: of(None),
-            running: [of(Some(&deviations[0])), of(Some(&deviations[1]))],
-            mean_n: deviations.map(|(_, [crossing, _])| crossing),
-        }
+        let Running { direction, speed_m_s, static_force_n } = *running;
+        let standing =
+            PassingResponse::of_constant(model.greens, direction, speed_m_s, window.len, static_force_n);
+        let running = mean_n
+            .each_ref()
+            .map(|[crossing, stock]| standing.with(model.greens, first, position_m, [crossing, stock]));
+        Self { window, standing, running }
+    }
+
+    fn window(&self, geometry: &GroupGeometry, common: &CommonProfile, rate_hz: f64) -> Vec<f64> {
+        self.sum(geometry, common, rate_hz, PassingResponse::window)
     }
 
     /// Static forces of the whole train, mean deviations of the group's own axles.
@@ -359,13 +378,11 @@ pub fn expected_window(
     common: &CommonProfile,
 ) -> Vec<f64> {
     let rate_hz = model.greens.sampling.rate_hz;
+    let running = &geometry.running;
+    let (first, position_m) = own_positions(running.direction, running.speed_m_s, prior.half_m, rate_hz);
+    let mean_n = mean_deviations_n(model, running, common, &position_m);
     let window = Window::of(geometry, prior, rate_hz);
-    Expectation::new(model, geometry, prior, common, window).sum(
-        geometry,
-        common,
-        rate_hz,
-        PassingResponse::window,
-    )
+    Expectation::new(model, running, window, (first, &position_m), &mean_n).window(geometry, common, rate_hz)
 }
 
 /// Adds an axle's share to the covariance of the window and to its response to the common profile; returns the

@@ -8,11 +8,10 @@
 //! posterior of (c, X, θ, x_i) and the evidence are closed forms; a few linearisations reach the optimum (Gauss-Newton).
 
 use faer::linalg::matmul::triangular;
-use faer::linalg::solvers::Solve as _;
+use faer::linalg::solvers::{Llt, Solve as _};
 use faer::{Accum, Mat, Par};
 use rayon::prelude::*;
 
-use super::estimator::expected_window;
 use super::wheel::{Running, TrackModel};
 use super::{CommonProfile, Estimator, GroupGeometry, InverseError, Prior};
 use crate::reconstruct::{Recording, Timing};
@@ -73,20 +72,15 @@ pub struct SitePosterior {
     pub profile: CommonProfile,
     /// Posterior covariance of (c, X, θ), tempered.
     pub covariance: Mat<f64>,
-    /// Common position error X, metres: the wheels are at x = 0 later by X/v than assumed.
-    pub common_shift_m: f64,
     /// Standard deviation of the position error averaged over the passages, metres.
     pub mean_shift_sd_m: f64,
     /// Change of the track parameters θ − θ₀.
     pub parameters: Vec<f64>,
-    /// Position error of every passage, common part included, metres.
+    /// Position error of every passage, common part included, metres: its wheels are at x = 0 later by that much than
+    /// assumed.
     pub shift_m: Vec<f64>,
     /// Relative error of every passage's duration: the train takes longer by this share than assumed.
     pub stretch: Vec<f64>,
-    /// Covariance of the passage's own position error (metres) and stretch.
-    pub own_covariance: Vec<[[f64; 2]; 2]>,
-    /// Residuals at the posterior mean, RMS relative to what the model allows (1 for a perfect model).
-    pub misfit_ratio: f64,
 }
 
 /// Unknowns that each passage has for itself: position and stretch.
@@ -103,9 +97,6 @@ struct Statistics {
     own_covariance: [[f64; 2]; 2],
     own_coupling: Mat<f64>,
     own_value: [f64; 2],
-    /// Whitened squared residual that the own unknowns leave.
-    quadratic: f64,
-    samples: usize,
 }
 
 impl SiteModel<'_> {
@@ -129,12 +120,26 @@ impl SiteModel<'_> {
 
     /// Posterior and evidence over `passages`.
     pub fn posterior(&self, passages: &[SitePassage]) -> Result<SitePosterior, InverseError> {
-        let statistics: Vec<Statistics> =
-            passages.par_iter().map(|p| self.statistics(p)).collect::<Result<_, _>>()?;
-        self.combine(&statistics)
+        let statistics = self.of_every(passages)?;
+        let joint = self.joint(&statistics)?;
+        let mean = &joint.centre + &joint.root * joint.factor.solve(&joint.vector);
+        let covariance = self.tempered(&joint.root * joint.factor.solve(joint.root.transpose()));
+        let mean_shift_sd_m = self.mean_shift_sd_m(&statistics, &covariance);
+        let means = self.means(&statistics, &mean);
+        Ok(SitePosterior { log_evidence: joint.log_evidence, covariance, mean_shift_sd_m, ..means })
     }
 
-    fn combine(&self, statistics: &[Statistics]) -> Result<SitePosterior, InverseError> {
+    /// Evidence over `passages` alone.
+    pub fn log_evidence(&self, passages: &[SitePassage]) -> Result<f64, InverseError> {
+        Ok(self.joint(&self.of_every(passages)?)?.log_evidence)
+    }
+
+    fn of_every(&self, passages: &[SitePassage]) -> Result<Vec<Statistics>, InverseError> {
+        passages.par_iter().map(|p| self.statistics(p)).collect()
+    }
+
+    /// Information of all passages and the prior on what is shared.
+    fn joint(&self, statistics: &[Statistics]) -> Result<Joint, InverseError> {
         let (m, p) = (self.shared(), self.profile.grids.len());
         let bad = |_| InverseError::Covariance { len: m, noise_m_s2: self.prior.noise_m_s2 };
         let mut root = Mat::zeros(m, m);
@@ -149,10 +154,8 @@ impl SiteModel<'_> {
         }
         let mut information: Mat<f64> = Mat::zeros(m, m);
         let mut vector: Mat<f64> = Mat::zeros(m, 1);
-        let (mut log_evidence, mut misfit, mut samples) = (0.0, 0.0, 0);
+        let mut log_evidence = 0.0;
         for s in statistics {
-            misfit += s.quadratic;
-            samples += s.samples;
             information += &s.information;
             vector += &s.vector;
             log_evidence += s.log_likelihood;
@@ -161,25 +164,14 @@ impl SiteModel<'_> {
         // About the prior mean, and whitened with the prior's Cholesky factor, so that a nearly singular prior does no
         // harm.
         let at_centre = &information * &centre;
-        for i in 0..m {
-            let explained = centre[(i, 0)] * (vector[(i, 0)] - 0.5 * at_centre[(i, 0)]);
-            log_evidence += explained;
-            misfit -= 2.0 * explained;
-        }
-        let vector = &vector - &at_centre;
-        let inner = root.transpose() * &information * &root + Mat::<f64>::identity(m, m);
-        let factor = inner.llt(faer::Side::Lower).map_err(bad)?;
-        let whitened = root.transpose() * &vector;
-        let solved = factor.solve(&whitened);
+        log_evidence +=
+            (0..m).map(|i| centre[(i, 0)] * (vector[(i, 0)] - 0.5 * at_centre[(i, 0)])).sum::<f64>();
+        let vector = root.transpose() * (&vector - &at_centre);
+        let factor = whitened(&information, &root).llt(faer::Side::Lower).map_err(bad)?;
+        let solved = factor.solve(&vector);
         let l = factor.L();
-        log_evidence += (0..m).map(|i| 0.5 * whitened[(i, 0)] * solved[(i, 0)] - l[(i, i)].ln()).sum::<f64>();
-        misfit -= (0..m).map(|i| whitened[(i, 0)] * solved[(i, 0)]).sum::<f64>();
-        let misfit_ratio = (misfit.max(0.0) / samples.max(1) as f64).sqrt();
-        let mean = &centre + &root * &solved;
-        let covariance = self.tempered(&root * factor.solve(root.transpose()));
-        let mean_shift_sd_m = self.mean_shift_sd_m(statistics, &covariance);
-        let means = self.means(statistics, &mean);
-        Ok(SitePosterior { log_evidence, misfit_ratio, covariance, mean_shift_sd_m, ..means })
+        log_evidence += (0..m).map(|i| 0.5 * vector[(i, 0)] * solved[(i, 0)] - l[(i, i)].ln()).sum::<f64>();
+        Ok(Joint { root, centre, factor, vector, log_evidence })
     }
 
     /// A passage's own position follows what is shared: X + x_i moves with (c, X, θ) by a row h, and the mean row gives the
@@ -216,18 +208,15 @@ impl SiteModel<'_> {
         let own: Vec<[f64; OWN]> = statistics.iter().map(|s| s.own_mean(mean)).collect();
         SitePosterior {
             log_evidence: 0.0,
-            misfit_ratio: 1.0,
             profile: CommonProfile {
                 grids: self.profile.grids.clone(),
                 value: (0..p).map(|i| mean[(i, 0)]).collect(),
             },
             covariance: Mat::zeros(0, 0),
-            common_shift_m,
             mean_shift_sd_m: 0.0,
             parameters: (p + 1..mean.nrows()).map(|i| mean[(i, 0)]).collect(),
             shift_m: own.iter().map(|o| common_shift_m + o[0]).collect(),
             stretch: own.iter().map(|o| o[1]).collect(),
-            own_covariance: statistics.iter().map(|s| s.own_covariance).collect(),
         }
     }
 
@@ -236,40 +225,37 @@ impl SiteModel<'_> {
         let m = self.shared();
         let width = m + OWN + 1;
         let mut products: Mat<f64> = Mat::zeros(width, width);
-        let (mut log_likelihood, mut samples) = (0.0, 0);
+        let mut log_likelihood = 0.0;
         for kind in kinds(self.pattern) {
-            let estimator = Estimator::new(
+            let (estimator, moved_m_s2) = Estimator::with_moved(
                 &self.model,
+                &self.moved.iter().map(|m| m.model).collect::<Vec<_>>(),
                 &self.geometry(&kind.offsets, passage),
                 self.prior,
                 self.profile,
             )?;
             let (n, fixed) = (estimator.len(), m - 1);
             let mut columns = Mat::zeros(n, fixed + kind.groups.len() * (OWN + 1));
-            columns.submatrix_mut(0, 0, n, fixed).copy_from(&self.fixed_columns(&estimator, &kind, passage));
+            columns.submatrix_mut(0, 0, n, fixed).copy_from(&self.fixed_columns(&estimator, &moved_m_s2));
             for (g, group) in kind.groups.iter().enumerate() {
                 let own = self.own_columns(&estimator, passage, *group);
                 columns.submatrix_mut(0, fixed + g * (OWN + 1), n, OWN + 1).copy_from(&own);
             }
             estimator.whiten(&mut columns);
             add_products(&mut products, &columns, self.profile.grids.len(), fixed, kind.groups.len());
-            samples += n * kind.groups.len();
             log_likelihood -= kind.groups.len() as f64
                 * (estimator.log_det_half() + 0.5 * n as f64 * std::f64::consts::TAU.ln());
         }
-        let quadratic = products[(width - 1, width - 1)];
-        log_likelihood -= 0.5 * quadratic;
-        Ok(self.eliminate_own(&products, log_likelihood, quadratic, samples))
+        log_likelihood -= 0.5 * products[(width - 1, width - 1)];
+        Ok(self.eliminate_own(&products, log_likelihood))
     }
 
     /// [A | D]: response to the common profile, derivatives by the track parameters.
-    pub fn fixed_columns(&self, estimator: &Estimator, kind: &GroupKind, passage: &SitePassage) -> Mat<f64> {
+    fn fixed_columns(&self, estimator: &Estimator, moved_m_s2: &[Vec<f64>]) -> Mat<f64> {
         let (n, p) = (estimator.len(), self.profile.grids.len());
         let mut columns = Mat::zeros(n, p + self.moved.len());
         columns.submatrix_mut(0, 0, n, p).copy_from(estimator.profile_response());
-        for (k, moved) in self.moved.iter().enumerate() {
-            let geometry = self.geometry(&kind.offsets, passage);
-            let expected = expected_window(&moved.model, &geometry, self.prior, self.profile);
+        for (k, (moved, expected)) in self.moved.iter().zip(moved_m_s2).enumerate() {
             for i in 0..n {
                 columns[(i, p + k)] = (expected[i] - estimator.expected_m_s2[i]) / moved.step;
             }
@@ -278,7 +264,7 @@ impl SiteModel<'_> {
     }
 
     /// [−ȧ/v | −ȧ τ | residual], with τ the time since the first axle, for a window as it would be with the profile zero.
-    pub fn own_columns(&self, estimator: &Estimator, passage: &SitePassage, group: AxleGroup) -> Mat<f64> {
+    fn own_columns(&self, estimator: &Estimator, passage: &SitePassage, group: AxleGroup) -> Mat<f64> {
         let (n, rate, band) = (estimator.len(), estimator.rate_hz, self.model.greens.sampling.band_hz);
         let timing = passage.timing;
         let start = timing.axle_s(self.pattern.offset_m[group.first]) - estimator.before as f64 / rate;
@@ -297,13 +283,7 @@ impl SiteModel<'_> {
         })
     }
 
-    fn eliminate_own(
-        &self,
-        products: &Mat<f64>,
-        log_likelihood: f64,
-        residual: f64,
-        samples: usize,
-    ) -> Statistics {
+    fn eliminate_own(&self, products: &Mat<f64>, log_likelihood: f64) -> Statistics {
         let m = self.shared();
         let value = [products[(m + OWN, m)], products[(m + OWN, m + 1)]];
         let precision = [
@@ -343,10 +323,50 @@ impl SiteModel<'_> {
             own_covariance: covariance,
             own_coupling: coupling,
             own_value: value,
-            quadratic: residual - quadratic,
-            samples,
         }
     }
+}
+
+/// Prior and data on what is shared, whitened by the prior: information `factor` = 1 + rootᵀ information root.
+struct Joint {
+    /// Lower Cholesky factor of the prior covariance.
+    root: Mat<f64>,
+    /// Prior mean.
+    centre: Mat<f64>,
+    factor: Llt<f64>,
+    vector: Mat<f64>,
+    log_evidence: f64,
+}
+
+/// 1 + rootᵀ · information · root of a lower triangular root, lower triangle.
+fn whitened(information: &Mat<f64>, root: &Mat<f64>) -> Mat<f64> {
+    use triangular::BlockStructure::{Rectangular, TriangularLower, TriangularUpper};
+    let m = root.nrows();
+    let mut half = Mat::zeros(m, m);
+    triangular::matmul(
+        &mut half,
+        Rectangular,
+        Accum::Replace,
+        information,
+        Rectangular,
+        root,
+        TriangularLower,
+        1.0,
+        Par::Seq,
+    );
+    let mut inner = Mat::identity(m, m);
+    triangular::matmul(
+        &mut inner,
+        TriangularLower,
+        Accum::Add,
+        root.transpose(),
+        TriangularUpper,
+        &half,
+        Rectangular,
+        1.0,
+        Par::Seq,
+    );
+    inner
 }
 
 impl Statistics {

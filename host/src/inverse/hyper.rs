@@ -32,28 +32,25 @@ pub const FORCE: [Hyper; 5] = [
     Hyper { get: |p| &mut p.correlation_s, range: [0.7e-3, 5e-3] },
 ];
 
-/// Steps taken, as factors.
-const FACTORS: [f64; 1] = [2.0];
+/// Step of a hyper-parameter, as a factor.
+const FACTOR: f64 = 2.0;
 
-/// Prior with the highest evidence found, and that evidence.
+/// Prior with the highest evidence found.
 pub fn refine(
     start: &Prior,
     hypers: &[Hyper],
     evidence: &dyn Fn(&Prior) -> Result<f64, InverseError>,
-) -> Result<(Prior, f64), InverseError> {
+) -> Result<Prior, InverseError> {
     let mut best = start.clone();
     let mut highest = evidence(&best)?;
-    for factor in FACTORS {
-        for hyper in hypers {
-            for step in [factor, 1.0 / factor] {
-                let moved = climb(hyper, step, &mut best, &mut highest, evidence);
-                if moved {
-                    break;
-                }
+    for hyper in hypers {
+        for step in [FACTOR, 1.0 / FACTOR] {
+            if climb(hyper, step, &mut best, &mut highest, evidence) {
+                break;
             }
         }
     }
-    Ok((best, highest))
+    Ok(best)
 }
 
 /// Repeats a step while it helps; tells whether it ever did.

@@ -202,21 +202,6 @@ impl ProfileGrids {
         self.parts.iter().filter(move |p| p.side == side).map(move |p| (p, class.weight(p.regressor)))
     }
 
-    /// Value under each contact of a bogie per entry of the joint vector, for constant parts: `[leading, trailing][crossing,
-    /// stock]`, positions × entries.
-    pub fn values_at(&self, position_m: &[f64]) -> [[Mat<f64>; 2]; 2] {
-        let of = |side: Side| {
-            let splines = self.grid(side).basis(position_m);
-            let mut out = Mat::zeros(position_m.len(), self.len());
-            for part in self.parts.iter().filter(|p| p.side == side && p.regressor == Regressor::Constant) {
-                out.subcols_mut(part.first, splines.ncols()).copy_from(&splines);
-            }
-            out
-        };
-        let rails = [of(Side::Crossing), of(Side::Stock)];
-        [rails.clone(), rails]
-    }
-
     /// Prior covariance of the joint vector, unit of the profile squared.
     pub fn prior_covariance(&self, prior: &Prior) -> Mat<f64> {
         let mut out = Mat::zeros(self.len(), self.len());
@@ -272,9 +257,16 @@ impl CommonProfile {
         out
     }
 
-    /// Value for a class of wheels at `x_m`; zero outside the grid.
-    pub fn at(&self, side: Side, x_m: f64, class: WheelClass) -> f64 {
-        let coefficients = self.coefficients(side, class);
-        self.grids.grid(side).splines(x_m).map(|(i, weight)| weight * coefficients[i]).sum()
+    /// Values at positions under the wheels of a bogie at a speed, one column per contact; zero outside the grid.
+    pub fn values_at(&self, position_m: &[f64], speed_m_s: f64) -> [[Mat<f64>; 2]; 2] {
+        [0, 1].map(|axle: usize| {
+            let class = self.grids.class(speed_m_s, axle);
+            [Side::Crossing, Side::Stock].map(|side| {
+                let grid = self.grids.grid(side);
+                let coefficients = self.coefficients(side, class);
+                let at = |x: f64| grid.splines(x).map(|(i, weight)| weight * coefficients[i]).sum();
+                Mat::from_fn(position_m.len(), 1, |i, _| at(position_m[i]))
+            })
+        })
     }
 }

@@ -6,7 +6,7 @@ use faer::Mat;
 use super::prior::Prior;
 use super::profile::CommonProfile;
 use crate::greens::GreensFunctions;
-use crate::greens::moving::{PassingResponse, own_positions};
+use crate::greens::moving::own_positions;
 use crate::interaction::{Contacts, Interaction, Motion};
 use crate::track::Side;
 
@@ -46,7 +46,14 @@ pub(super) struct Wheel {
     /// Factors of the covariance of the wheel's own deviation, N: `[leading, trailing][crossing, stock]`.
     pub(super) root_n: Contacts,
     pub(super) basis: Basis,
+    /// Mean deviations under the common profile, newtons.
+    pub(super) mean_n: Means,
+    /// The same under each of the moved tracks.
+    pub(super) moved_n: Vec<Means>,
 }
+
+/// Force deviations at a wheel's own samples, newtons: `[leading, trailing][crossing, stock]`.
+pub(super) type Means = [[Vec<f64>; 2]; 2];
 
 /// Force deviation per entry of the common profile.
 pub(super) enum Basis {
@@ -59,9 +66,10 @@ pub(super) enum Basis {
 pub(super) const SIDES: [Side; 2] = [Side::Crossing, Side::Stock];
 
 impl Wheel {
-    /// `None` if a covariance is not finite.
+    /// With the tracks of `moved` close to that of `model`. `None` if a covariance is not finite.
     pub(super) fn new(
         model: &TrackModel,
+        moved: &[TrackModel],
         running: &Running,
         prior: &Prior,
         common: &CommonProfile,
@@ -69,7 +77,9 @@ impl Wheel {
         let rate = model.greens.sampling.rate_hz;
         let (first_sample, position_m) =
             own_positions(running.direction, running.speed_m_s, prior.half_m, rate);
-        let (root_n, basis) = match model.excitation {
+        let profile = common.values_at(&position_m, running.speed_m_s);
+        let splines = SIDES.map(|s| common.grids.grid(s).basis(&position_m));
+        match model.excitation {
             Excitation::Force => {
                 let step = 1.0 / (rate * prior.correlation_s);
                 let root = |side: Side| {
@@ -77,18 +87,30 @@ impl Wheel {
                     prior.covariance_factor(&position_m, &sd_n, step)
                 };
                 let roots = [root(Side::Crossing)?, root(Side::Stock)?];
-                let splines = SIDES.map(|s| common.grids.grid(s).basis(&position_m));
-                ([roots.clone(), roots], Basis::Splines(splines))
+                let root_n = [roots.clone(), roots];
+                let basis = Basis::Splines(splines);
+                let mean_n = columns(&profile);
+                let moved_n = vec![mean_n.clone(); moved.len()];
+                Some(Self { first_sample, position_m, root_n, basis, mean_n, moved_n })
             }
             Excitation::Irregularity(interaction) => {
                 let motion = running.on(interaction, &position_m);
                 let step = running.speed_m_s / (rate * prior.own_correlation_m);
                 let path = |side: Side| prior.path_factor(&position_m, side, step);
-                let own = motion.solve_alone(&[path(Side::Crossing)?, path(Side::Stock)?]);
-                (own, Basis::Full(motion.solve(&common.grids.values_at(&position_m))))
+                let root_n = motion.solve_alone(&[path(Side::Crossing)?, path(Side::Stock)?]);
+                let basis = Basis::Full(motion.solve_shared(&splines));
+                let mean = mean_of(&motion, &profile);
+                let moved_n = moved
+                    .iter()
+                    .map(|m| match m.excitation {
+                        Excitation::Irregularity(other) => columns(&motion.nearby(other, &mean)),
+                        Excitation::Force => columns(&profile),
+                    })
+                    .collect();
+                let mean_n = columns(&mean);
+                Some(Self { first_sample, position_m, root_n, basis, mean_n, moved_n })
             }
-        };
-        Some(Self { first_sample, position_m, root_n, basis })
+        }
     }
 }
 
@@ -100,43 +122,27 @@ impl Running {
 
 /// Mean force deviations under the common profile at a wheel's own samples, newtons:
 /// `[leading, trailing][crossing, stock]`.
-pub fn mean_deviations_n(
+pub(super) fn mean_deviations_n(
     model: &TrackModel,
     running: &Running,
     common: &CommonProfile,
     position_m: &[f64],
-) -> [[Vec<f64>; 2]; 2] {
-    let profile = [0, 1].map(|axle: usize| {
-        let class = common.grids.class(running.speed_m_s, axle);
-        SIDES.map(|side| {
-            let splines = common.grids.grid(side).basis(position_m);
-            let coefficients = common.coefficients(side, class);
-            splines * Mat::from_fn(coefficients.len(), 1, |i, _| coefficients[i])
-        })
-    });
-    let deviation = match model.excitation {
-        Excitation::Force => profile,
+) -> Means {
+    let profile = common.values_at(position_m, running.speed_m_s);
+    match model.excitation {
+        Excitation::Force => columns(&profile),
         Excitation::Irregularity(interaction) => {
-            let motion = running.on(interaction, position_m);
-            let deflection = motion.load_deflection_m();
-            motion.solve(&[0, 1].map(|a: usize| [0, 1].map(|r: usize| &profile[a][r] + &deflection[a][r])))
+            columns(&mean_of(&running.on(interaction, position_m), &profile))
         }
-    };
-    deviation.map(|axle| axle.map(|m| m.col_as_slice(0).to_vec()))
+    }
 }
 
-/// Response of the sensor to one wheel on both rails: its static force, and the mean deviation if it has one.
-pub(super) fn passing(
-    model: &TrackModel,
-    running: &Running,
-    deviation: Option<&(i64, [Vec<f64>; 2])>,
-    window_len: usize,
-) -> PassingResponse {
-    PassingResponse::new(model.greens, running.direction, running.speed_m_s, window_len, |side, j, _| {
-        let mean = deviation.map_or(0.0, |(first, values)| {
-            let index = usize::from(side != Side::Crossing);
-            usize::try_from(j - first).ok().and_then(|i| values[index].get(i)).copied().unwrap_or(0.0)
-        });
-        running.static_force_n + mean
-    })
+/// Force deviations that an irregularity and the varying deflection make, one column per contact.
+fn mean_of(motion: &Motion, irregularity_m: &Contacts) -> Contacts {
+    let deflection = motion.load_deflection_m();
+    motion.solve(&[0, 1].map(|a: usize| [0, 1].map(|r: usize| &irregularity_m[a][r] + &deflection[a][r])))
+}
+
+fn columns(contacts: &Contacts) -> Means {
+    contacts.each_ref().map(|axle| axle.each_ref().map(|m| m.col_as_slice(0).to_vec()))
 }

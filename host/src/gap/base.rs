@@ -241,7 +241,7 @@ pub fn base(
     let second = fit(&frame, &[], state, search, options)?;
     let variation = variation_of(&frame, &shapes, &[], &second.state, search)?;
     frame.factors = self::factors(&frame.observed, &shapes, &variation)?;
-    let fit = fit(&frame, &[], second.state, subset, FitOptions::default())?;
+    let fit = fit(&frame, &[], second.state, subset, FitOptions::THOROUGH)?;
     Ok(Base { frame, fit, variation, shapes, window_m: window })
 }
 

@@ -2,12 +2,14 @@
 
 use std::time::Instant;
 
+use faer::Mat;
+
 use super::GapError;
 use super::base::{Base, PathPrior, base, fit_variation};
 use super::consistency::Strangers;
-use super::effect::{Effect, Hints, Stage};
+use super::effect::{Effect, Hints, Scale, Stage};
 use super::effects::{COMMON, LATENT};
-use super::fit::{Fit, FitOptions, State, fit, simulate};
+use super::fit::{Fit, FitOptions, OPERATOR_SD, State, fit, simulate, whitened};
 use super::forward::Response;
 use super::latent::{Latent, LatentFit, Scene};
 use super::measure::{Gap, Prediction, measure, predictions};
@@ -478,13 +480,8 @@ impl<'a> Session<'a> {
         let candidates: Vec<&'static dyn Effect> =
             self.common.iter().copied().filter(|e| !names.contains(&e.name())).collect();
         let state = self.state();
-        let reference = fit(
-            &self.base.frame,
-            &self.accepted,
-            state.clone(),
-            self.search,
-            FitOptions { steps: 3, ..FitOptions::default() },
-        )?;
+        let reference =
+            fit(&self.base.frame, &self.accepted, state.clone(), self.search, FitOptions::THOROUGH)?;
         let (mut tried, screening) = round(
             &self.base.frame,
             (&self.accepted, &reference.state),
@@ -539,7 +536,10 @@ impl<'a> Session<'a> {
         let common = tried.iter().map(|t| {
             let (gain, full) = match &t.fit {
                 // A strength at the end of its range is no strength but a fit that found no other way.
-                Some(f) => (f.log_evidence - reference.log_evidence, inside_ranges(t.effect, f)),
+                Some(f) => (
+                    f.log_evidence - reference.log_evidence,
+                    inside_ranges(t.effect, f) && large_enough(t.effect, f) && self.borne_out(t.effect, f),
+                ),
                 None => (t.screened.min(LEAST_GAIN), false),
             };
             let misfit_gain = t.fit.as_ref().map_or(0.0, |f| f.log_posterior - reference.log_posterior);
@@ -559,6 +559,47 @@ impl<'a> Session<'a> {
             Candidate { name: e.name(), stage: e.stage(), gain, misfit_gain: f64::INFINITY, full }
         });
         common.chain(latent).collect()
+    }
+
+    /// Whether what was recorded beside the acceleration bears an effect out: the operator's speeds a wrong clock, the
+    /// temperatures a gain that follows them.
+    fn borne_out(&self, effect: &dyn Effect, found: &Fit) -> bool {
+        let observed = &self.base.frame.observed;
+        let Some(coordinates) = found.state.effects.last() else { return true };
+        match effect.name() {
+            "clock-error" => {
+                let relative = effect.parameters()[0].value(coordinates[0]);
+                let ratios: Vec<f64> =
+                    observed.iter().filter_map(|o| o.operator_m_s.map(|v| v / o.speed_m_s - 1.0)).collect();
+                let sd = OPERATOR_SD / (ratios.len().max(1) as f64).sqrt();
+                ratios.is_empty() || (crate::signal::mean(&ratios) - relative).abs() < CLOCK_SPREAD * sd
+            }
+            "gain-temperature" => {
+                let train = &self.split.train;
+                let of =
+                    |value: &dyn Fn(usize) -> f64| -> Vec<f64> { train.iter().map(|i| value(*i)).collect() };
+                let scales = of(&|i| self.scale_of(i));
+                let temperatures = of(&|i| observed[i].temperature_c);
+                let speeds = of(&|i| observed[i].speed_m_s);
+                chance(&scales, &temperatures, &speeds) < MOST_CHANCE
+            }
+            _ => true,
+        }
+    }
+
+    /// Factor by which the base model's mean window fits a passage best, given how wheels differ.
+    fn scale_of(&self, index: usize) -> f64 {
+        let frame = &self.base.frame;
+        let world = self.base.fit.state.world(frame, &[]);
+        let o = &frame.observed[index];
+        let Ok(responses) = simulate(&world, frame, &[index]) else { return 1.0 };
+        let late_s = self.base.fit.state.shift_m[index] / o.speed_m_s;
+        let predicted = o.predicted_mean(&responses[0], 1.0, late_s);
+        let columns = Mat::from_fn(o.mean.len(), 2, |k, c| if c == 0 { o.mean[k] } else { predicted[k] });
+        let white = whitened(&frame.factors[index], &columns);
+        let (mean, predicted) = (white.col_as_slice(0), white.col_as_slice(1));
+        let product = |b: &[f64]| predicted.iter().zip(b).map(|(p, b)| p * b).sum::<f64>();
+        product(mean) / product(predicted).max(f64::MIN_POSITIVE)
     }
 
     /// Energy that an effect adds to the windows, relative to that of the wheels' scatter and of the noise.
@@ -822,7 +863,8 @@ impl<'a> Session<'a> {
         for (effect, coordinates) in self.accepted.iter().zip(&fit.state.effects) {
             let mut list = Vec::new();
             for (p, c) in effect.parameters().iter().zip(coordinates) {
-                let half = widen * fit.covariance[(at, at)].max(0.0).sqrt() + MODEL_ERROR;
+                let model = MODEL_ERROR * if p.scale == Scale::Log { 1.0 } else { c.abs().max(1.0) };
+                let half = widen * fit.covariance[(at, at)].max(0.0).sqrt() + model;
                 at += 1;
                 if !p.nuisance {
                     let ends = [p.value(c - half), p.value(c + half)];
@@ -856,8 +898,49 @@ const LATENT_INFLATION: f64 = 2.0;
 const PROBABILITY_SCALE: f64 = 4.0;
 /// Nothing is surer than this: no run of trials has been long enough to show a higher frequency.
 const MOST_SURE: f64 = 0.95;
-/// Coordinates are not known better than this: what the forward model leaves out.
-const MODEL_ERROR: f64 = 0.05;
+/// Parameters are not known better than this, relative or in units of the coordinate: what the forward model leaves out.
+const MODEL_ERROR: f64 = 0.06;
+
+/// A wrong clock must agree with the operator's speeds within this many standard deviations of their mean.
+const CLOCK_SPREAD: f64 = 4.0;
+/// Probability that temperatures shuffled among the passages would go with their scale as well, above which a gain does not
+/// follow the temperature: trains differ by chance.
+const MOST_CHANCE: f64 = 0.01;
+const SHUFFLES: usize = 999;
+
+/// How often shuffled `x` go with `y` at least as well as `x` do, both freed of what goes with `z`.
+fn chance(y: &[f64], x: &[f64], z: &[f64]) -> f64 {
+    let centred = |v: &[f64]| -> Vec<f64> {
+        let mean = crate::signal::mean(v);
+        v.iter().map(|a| a - mean).collect()
+    };
+    let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+    let z = centred(z);
+    let freed = |v: &[f64]| -> Vec<f64> {
+        let v = centred(v);
+        let slope = dot(&v, &z) / dot(&z, &z).max(f64::MIN_POSITIVE);
+        v.iter().zip(&z).map(|(a, b)| a - slope * b).collect()
+    };
+    let (y, mut x) = (freed(y), freed(x));
+    let found = dot(&x, &y).abs();
+    let mut random = crate::passage::random::Random::new(1, 1);
+    let mut as_good = 0;
+    for _ in 0..SHUFFLES {
+        for i in (1..x.len()).rev() {
+            x.swap(i, (random.unit() * (i + 1) as f64) as usize % (i + 1));
+        }
+        as_good += usize::from(dot(&x, &y).abs() >= found);
+    }
+    (as_good + 1) as f64 / (SHUFFLES + 1) as f64
+}
+
+/// Whether the last effect of a fit is larger than what the forward model's own errors can pass for.
+fn large_enough(effect: &dyn Effect, fit: &Fit) -> bool {
+    let (Some(coordinates), Some(nought)) = (fit.state.effects.last(), effect.nought()) else { return true };
+    let parameters = effect.parameters().iter().zip(coordinates.iter().zip(&nought));
+    let mut asked = parameters.filter(|(p, _)| p.least > 0.0).peekable();
+    asked.peek().is_none() || asked.any(|(p, (c, n))| (c - n).abs() >= p.least)
+}
 
 /// Whether the last effect of a fit is away from the ends of its ranges.
 fn inside_ranges(effect: &dyn Effect, fit: &Fit) -> bool {

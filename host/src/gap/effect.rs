@@ -42,6 +42,9 @@ pub struct Parameter {
     pub range: [f64; 2],
     /// Step for numerical derivatives, coordinate.
     pub step: f64,
+    /// Least distance of the coordinate from where there is no effect: the forward model's own errors (mesh, step, damping)
+    /// can pass for less. Nought where they cannot.
+    pub least: f64,
     /// Not of interest by itself: it only lets the effect take its form.
     pub nuisance: bool,
 }

@@ -81,7 +81,7 @@ const SHIFT_SD_M: (f64, f64) = (0.05, 0.02);
 /// Step for the derivative by position, metres.
 const SHIFT_STEP_M: f64 = 2e-4;
 /// Operator's speeds are within 1 % (uniform).
-const OPERATOR_SD: f64 = 0.0058;
+pub const OPERATOR_SD: f64 = 0.0058;
 
 impl State {
     /// Start without effects.
@@ -201,6 +201,11 @@ pub struct FitOptions {
     pub renew: usize,
     /// Ends when the log posterior grows by less.
     pub tolerance: f64,
+}
+
+impl FitOptions {
+    /// From a start that may be far from the optimum, or for a model that everything else is measured against.
+    pub const THOROUGH: Self = Self { steps: 16, renew: 14, tolerance: 0.5 };
 }
 
 impl Default for FitOptions {

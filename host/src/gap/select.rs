@@ -72,7 +72,7 @@ fn candidate(
         from.effects.push(coordinates.clone());
         from
     };
-    if effect.nought().is_some() {
+    if effect.nought().is_some() && all_starts.len() == 1 {
         return fit(frame, list, with(state, &all_starts[start]), subset, SMOOTH).ok();
     }
     let few: Vec<usize> = subset.iter().copied().step_by(subset.len().div_ceil(SCOUTED).max(1)).collect();
@@ -84,7 +84,7 @@ fn candidate(
         .into_iter()
         .filter_map(|s| fit(frame, list, s, &few, SCOUT).ok())
         .max_by(|a, b| a.log_evidence.total_cmp(&b.log_evidence))?;
-    fit(frame, list, best.state, subset, THOROUGH).ok()
+    fit(frame, list, best.state, subset, FitOptions::THOROUGH).ok()
 }
 
 /// Near the base model the first derivatives hold; what is accepted is fitted again.
@@ -92,9 +92,6 @@ const SMOOTH: FitOptions = FitOptions { steps: 8, renew: 3, tolerance: 0.5 };
 /// An effect that does not begin smoothly is looked for from all its starts in a few passages first.
 const SCOUT: FitOptions = FitOptions { steps: 5, renew: 5, tolerance: 3.0 };
 const SCOUTED: usize = 3;
-/// It may then be far from its optimum.
-const THOROUGH: FitOptions = FitOptions { steps: 16, renew: 14, tolerance: 0.5 };
-
 /// States from which the fit of an effect that does not begin smoothly starts: the base model's, which such an effect may
 /// have driven far away, and nominal ballast with the scan.
 fn states(state: &State) -> Vec<State> {

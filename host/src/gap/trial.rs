@@ -217,23 +217,23 @@ fn put(effects: &mut Effects, name: &str, random: &mut Random) -> f64 {
     let factor = |random: &mut Random, low: f64, high: f64| random.between(low, high).powf(sign);
     match name {
         "voided-sleepers" => {
-            let gap_m = log(random, 0.2e-3, 2e-3);
+            let gap_m = log(random, 0.2e-3, 4e-3);
             effects.voided_sleepers =
                 Some(kinds::VoidedSleepers { gap_m, sleepers: vec![(-1, 0.5), (0, 1.0), (1, 0.5)] });
             gap_m
         }
         "ballast-stiffening" => {
-            let doubling_m = log(random, 0.3e-3, 2e-3);
+            let doubling_m = log(random, 0.1e-3, 2e-3);
             effects.ballast_stiffening = Some(kinds::BallastStiffening { doubling_m, bilinear_factor: None });
             doubling_m
         }
         "ballast-mass" => {
-            let mass_kg_m = log(random, 60.0, 400.0);
+            let mass_kg_m = log(random, 60.0, 800.0);
             effects.ballast_mass = Some(kinds::BallastMass { mass_kg_m });
             mass_kg_m
         }
         "support-loss" => {
-            let f = random.between(0.1, 0.5);
+            let f = log(random, 0.02, 0.5);
             let side = if sign > 0.0 { 3..=6 } else { -6..=-3 };
             effects.support_loss = Some(kinds::SupportLoss { factor: f, sleepers: side.collect() });
             f
@@ -249,33 +249,33 @@ fn put(effects: &mut Effects, name: &str, random: &mut Random) -> f64 {
             f
         }
         "axle-load" => {
-            let f = factor(random, 1.06, 1.25);
+            let f = factor(random, 1.06, 1.6);
             effects.axle_load = Some(kinds::Factor { factor: f });
             f
         }
         "unsprung-mass" => {
-            let f = factor(random, 1.15, 1.6);
+            let f = factor(random, 1.15, 2.0);
             effects.unsprung_mass = Some(kinds::Factor { factor: f });
             f
         }
         "load-transfer" => {
-            let f = sign * random.between(0.06, 0.2);
+            let f = sign * log(random, 0.06, 0.4);
             effects.load_transfer = Some(kinds::LoadTransfer { to_crossing_side: f, to_front: 0.0 });
             f
         }
         "front-rear" => {
-            let f = sign * random.between(0.15, 0.6);
+            let f = sign * log(random, 0.15, 1.5);
             effects.front_rear = Some(kinds::FrontRear { depth_difference: f });
             f
         }
         "stock-irregularity" => {
-            let depth_m = random.between(0.2e-3, 1.2e-3);
+            let depth_m = log(random, 0.2e-3, 3e-3);
             let at_x_m = random.between(-1.5, 1.5);
             effects.stock_irregularity = Some(kinds::StockIrregularity { depth_m, at_x_m, length_m: 0.4 });
             depth_m
         }
         "gain-temperature" => {
-            let per_kelvin = sign * log(random, 1e-3, 8e-3);
+            let per_kelvin = sign * log(random, 1e-3, 2e-2);
             effects.gain_temperature = Some(kinds::GainTemperature { per_kelvin, reference_c: 20.0 });
             per_kelvin
         }
@@ -303,12 +303,12 @@ fn put(effects: &mut Effects, name: &str, random: &mut Random) -> f64 {
             amplitude_m
         }
         "tonal" => {
-            let (frequency_hz, amplitude_m_s2) = (random.between(16.0, 240.0), log(random, 0.2, 3.0));
+            let (frequency_hz, amplitude_m_s2) = (random.between(16.0, 240.0), log(random, 0.2, 20.0));
             effects.tonal = Some(kinds::Tonal { frequency_hz, amplitude_m_s2 });
             amplitude_m_s2
         }
         "bias-step" => {
-            let step_m_s2 = log(random, 0.3, 3.0);
+            let step_m_s2 = log(random, 0.3, 30.0);
             effects.bias_step = Some(kinds::BiasSteps { step_m_s2, decay_s: log(random, 0.1, 1.0) });
             step_m_s2
         }
@@ -318,7 +318,7 @@ fn put(effects: &mut Effects, name: &str, random: &mut Random) -> f64 {
             length_m
         }
         _ => {
-            let depth_factor = random.between(1.4, 2.2);
+            let depth_factor = random.between(1.4, 3.0);
             effects.hollow_wheels = Some(kinds::HollowWheels {
                 depth_factor,
                 shift_m: random.between(-0.08, 0.08),

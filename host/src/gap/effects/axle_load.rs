@@ -15,6 +15,7 @@ const PARAMETERS: [Parameter; 1] = [Parameter {
     prior: (0.0, 0.12),
     range: [-0.6, 0.6],
     step: 0.02,
+    least: 0.04,
     nuisance: false,
 }];
 

@@ -16,6 +16,7 @@ const PARAMETERS: [Parameter; 1] = [Parameter {
     prior: (0.0, 1.5),
     range: [0.0, 10.0],
     step: 0.1,
+    least: 0.5,
     nuisance: false,
 }];
 
@@ -33,7 +34,8 @@ impl Effect for BallastMass {
     }
 
     fn starts(&self, _hints: &Hints) -> Vec<Vec<f64>> {
-        self.nought().into_iter().collect()
+        // A sleeper with much ballast on it has another resonance, which no small mass leads to.
+        vec![vec![0.0], vec![2.0], vec![6.0]]
     }
 
     fn nought(&self) -> Option<Vec<f64>> {

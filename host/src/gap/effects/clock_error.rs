@@ -16,6 +16,7 @@ const PARAMETERS: [Parameter; 1] = [Parameter {
     prior: (0.0, 1.5),
     range: [-8.0, 8.0],
     step: 0.2,
+    least: 0.0,
     nuisance: false,
 }];
 

@@ -14,6 +14,7 @@ const PARAMETERS: [Parameter; 2] = [
         prior: (0.0, 0.5),
         range: [-1.5, 1.5],
         step: 0.05,
+        least: 0.15,
         nuisance: false,
     },
     Parameter {
@@ -23,6 +24,7 @@ const PARAMETERS: [Parameter; 2] = [
         prior: (0.0, 0.5),
         range: [-1.5, 1.5],
         step: 0.05,
+        least: 0.0,
         nuisance: false,
     },
 ];

@@ -17,6 +17,7 @@ const PARAMETERS: [Parameter; 2] = [
         prior: (0.0, 1.5),
         range: [-9.0, 9.0],
         step: 0.2,
+        least: 0.3,
         nuisance: false,
     },
     Parameter {
@@ -26,6 +27,7 @@ const PARAMETERS: [Parameter; 2] = [
         prior: (0.0, 1.0),
         range: [-9.0, 9.0],
         step: 0.2,
+        least: 0.0,
         nuisance: false,
     },
 ];

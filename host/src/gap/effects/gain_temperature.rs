@@ -17,6 +17,7 @@ const PARAMETERS: [Parameter; 2] = [
         prior: (0.0, 3.0),
         range: [-20.0, 20.0],
         step: 1.0,
+        least: 0.0,
         nuisance: false,
     },
     Parameter {
@@ -26,6 +27,7 @@ const PARAMETERS: [Parameter; 2] = [
         prior: (100.0, 3.0),
         range: [50.0, 200.0],
         step: 1.0,
+        least: 0.0,
         nuisance: true,
     },
 ];

@@ -13,6 +13,7 @@ const PARAMETERS: [Parameter; 1] = [Parameter {
     prior: (0.0, 1.0),
     range: [-5.0, 5.0],
     step: 0.2,
+    least: 0.2,
     nuisance: false,
 }];
 

@@ -16,6 +16,7 @@ const PARAMETERS: [Parameter; 2] = [
         prior: (0.0, 0.6),
         range: [-1.2, 1.4],
         step: 0.03,
+        least: 0.0,
         nuisance: false,
     },
     Parameter {
@@ -25,6 +26,7 @@ const PARAMETERS: [Parameter; 2] = [
         prior: (0.0, 0.8),
         range: [-2.5, 1.8],
         step: 0.1,
+        least: 0.0,
         nuisance: false,
     },
 ];

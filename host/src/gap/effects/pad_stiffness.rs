@@ -16,6 +16,7 @@ const PARAMETERS: [Parameter; 1] = [Parameter {
     prior: (0.0, 0.8),
     range: [-2.0, 2.2],
     step: 0.05,
+    least: 0.15,
     nuisance: false,
 }];
 

@@ -16,6 +16,7 @@ const PARAMETERS: [Parameter; 1] = [Parameter {
     prior: (0.0, 1.0),
     range: [-3.0, 2.0],
     step: 0.05,
+    least: 0.0,
     nuisance: false,
 }];
 

@@ -15,6 +15,7 @@ const PARAMETERS: [Parameter; 3] = [
         prior: (0.0, 1.5),
         range: [-8.0, 8.0],
         step: 0.2,
+        least: 0.0,
         nuisance: false,
     },
     Parameter {
@@ -24,6 +25,7 @@ const PARAMETERS: [Parameter; 3] = [
         prior: (0.0, 1.2),
         range: [-3.0, 3.0],
         step: 0.02,
+        least: 0.0,
         nuisance: false,
     },
     Parameter {
@@ -33,6 +35,7 @@ const PARAMETERS: [Parameter; 3] = [
         prior: (0.0, 0.6),
         range: [-1.7, 1.4],
         step: 0.1,
+        least: 0.0,
         nuisance: true,
     },
 ];

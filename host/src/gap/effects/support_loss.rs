@@ -16,6 +16,7 @@ const PARAMETERS: [Parameter; 2] = [
         prior: (0.0, 0.8),
         range: [-3.0, 1.0],
         step: 0.1,
+        least: 0.0,
         nuisance: false,
     },
     Parameter {
@@ -25,6 +26,7 @@ const PARAMETERS: [Parameter; 2] = [
         prior: (0.0, 0.8),
         range: [-3.0, 1.0],
         step: 0.1,
+        least: 0.0,
         nuisance: false,
     },
 ];

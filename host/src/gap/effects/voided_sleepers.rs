@@ -18,6 +18,7 @@ const PARAMETERS: [Parameter; 2] = [
         prior: (0.0, 1.0),
         range: [-2.5, 2.3],
         step: 0.05,
+        least: 0.0,
         nuisance: false,
     },
     Parameter {
@@ -27,6 +28,7 @@ const PARAMETERS: [Parameter; 2] = [
         prior: (0.5, 0.3),
         range: [0.0, 1.0],
         step: 0.05,
+        least: 0.0,
         nuisance: true,
     },
 ];

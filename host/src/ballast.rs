@@ -15,6 +15,9 @@ pub struct BallastParameters {
 }
 
 impl BallastParameters {
+    /// A track in good order (paper, Table 1), somewhat softer under the crossing: where searches start.
+    pub const NOMINAL: Self = Self { p1_n_m2: 30e6, p2_n_m2: 25e6, p3: 0.4 };
+
     /// Stiffness of the sleeper `offset` away from the crossing sleeper, N/m²: p1 from two sleepers on, otherwise
     /// p2 + (p1 − p2) q(|offset|/2) with q(s) = (4 p3 − 1) s + (2 − 4 p3) s².
     pub fn at_offset(&self, offset: i64) -> f64 {

@@ -80,8 +80,6 @@ impl IdentifiedSite<'_> {
 const CALIBRATION_PASSAGES: usize = 8;
 /// Passages used for the hyper-parameters.
 const HYPER_PASSAGES: usize = 3;
-/// Start of the quasi-static fit: nominal outer stiffness, somewhat less under the crossing.
-const NOMINAL: BallastParameters = BallastParameters { p1_n_m2: 30e6, p2_n_m2: 25e6, p3: 0.4 };
 /// Spacing of the common force profile on the two rails, metres: three knots per wavelength of 250 Hz at 30 m/s.
 const PROFILE_STEP_M: (f64, f64) = (0.04, 0.064);
 /// Position uncertainty left after the calibration, metres: common and per passage; relative error of the speed.
@@ -109,7 +107,7 @@ pub fn identify<'s>(site: &'s Site, progress: &dyn Progress) -> Result<Identifie
     progress.begin("ballast, quasi-static", 1);
     let inputs: Vec<(&Recording, f64, f64)> =
         (0..recordings.len()).map(|i| (&recordings[i], speeds[i], static_force_n[i])).collect();
-    let quasi_static = QuasiStatic::new(&track, direction, &pattern, &inputs).fit(NOMINAL);
+    let quasi_static = QuasiStatic::new(&track, direction, &pattern, &inputs).fit(BallastParameters::NOMINAL);
     progress.step();
     let mut passages: Vec<SitePassage> = (0..recordings.len())
         .map(|i| SitePassage {
@@ -119,7 +117,7 @@ pub fn identify<'s>(site: &'s Site, progress: &dyn Progress) -> Result<Identifie
         })
         .collect();
     let problem = EvidenceProblem::new(&track, direction, &pattern, &crossing.vehicle);
-    let (calibration, ballast) = calibrate(&problem, &quasi_static.parameters, &mut passages, progress)?;
+    let (calibration, ballast) = calibrate(&problem, &quasi_static, &mut passages, progress)?;
     let greens = wide_greens(&track, &ballast.parameters);
     let nearby_greens =
         [0, 1, 2].map(|k| (wide_greens(&track, &ballast.parameters.moved(k, DIFFERENCE[k])), DIFFERENCE[k]));
@@ -179,18 +177,12 @@ fn spread_out<'p>(passages: &[SitePassage<'p>], count: usize) -> Vec<SitePassage
 
 fn calibrate(
     problem: &EvidenceProblem,
-    quasi_static: &BallastParameters,
+    quasi_static: &QuasiStaticFit,
     passages: &mut [SitePassage],
     progress: &dyn Progress,
 ) -> Result<(Calibration, EvidenceFit), IdentifyError> {
     progress.begin("ballast by evidence", 4);
-    // The quasi-static fit errs towards a soft centre (the dynamic force leaks into its band).
-    let start = BallastParameters {
-        p2_n_m2: (1.5 * quasi_static.p2_n_m2).max(0.3 * quasi_static.p1_n_m2),
-        p3: 0.4,
-        ..*quasi_static
-    };
-    let mut state = Calibration::starting(start, problem.direction);
+    let mut state = Calibration::starting(quasi_static.start_of_evidence(), problem.direction);
     let mut some = spread_out(passages, CALIBRATION_PASSAGES);
     problem.converge(&mut state, &mut some, 3)?;
     progress.step();

@@ -61,6 +61,19 @@ pub struct QuasiStaticFit {
     pub evaluations: usize,
 }
 
+impl QuasiStaticFit {
+    /// Where a fit of the whole acceleration starts: this one errs towards a soft centre, because the dynamic force leaks
+    /// into its band, and hardly sees the shape.
+    pub fn start_of_evidence(&self) -> BallastParameters {
+        let found = self.parameters;
+        BallastParameters {
+            p2_n_m2: (1.5 * found.p2_n_m2).max(0.3 * found.p1_n_m2),
+            p3: BallastParameters::NOMINAL.p3,
+            ..found
+        }
+    }
+}
+
 impl<'a> QuasiStatic<'a> {
     /// Prepares recordings with known speeds.
     pub fn new(
@@ -303,11 +316,7 @@ fn to_scaled(p: &BallastParameters) -> Vector3<f64> {
 }
 
 fn from_scaled(z: &Vector3<f64>) -> BallastParameters {
-    BallastParameters {
-        p1_n_m2: z[0].clamp(13.0, 20.0).exp(),
-        p2_n_m2: z[1].clamp(13.0, 20.0).exp(),
-        p3: z[2].clamp(0.0, 1.0),
-    }
+    BallastParameters::from_vector(&[z[0], z[1], z[2]])
 }
 
 struct Problem<'p, 'a> {

@@ -28,8 +28,6 @@ const STEP_M: [f64; 2] = [0.055, 0.11];
 const SCAN_FADE_M: f64 = 0.3;
 /// Correlation length of the path's deviation, metres.
 const CORRELATION_M: f64 = 0.15;
-/// Start of the quasi-static fit.
-pub const NOMINAL: BallastParameters = BallastParameters { p1_n_m2: 30e6, p2_n_m2: 25e6, p3: 0.4 };
 
 /// Prior standard deviation of the path's deviation, metres.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -91,7 +89,8 @@ pub fn observe(site: &Site) -> Result<Vec<Observed>, GapError> {
     }
     let force = |i: usize| static_wheel_force_n(site.passages[i].axle_load_kg, crossing.vehicle.gravity_m_s2);
     let inputs: Vec<(&Recording, f64, f64)> = found.iter().map(|(i, r, v, _)| (r, *v, force(*i))).collect();
-    let first_axle_s = QuasiStatic::new(&track, direction, &pattern, &inputs).align(&NOMINAL);
+    let first_axle_s =
+        QuasiStatic::new(&track, direction, &pattern, &inputs).align(&BallastParameters::NOMINAL);
     let sensor_along_m = direction * track.sleeper_x_m[track.sensor_sleeper];
     let window = window_m(&pattern, sensor_along_m, crossing.vehicle.axle_spacing_m);
     Ok(found
@@ -205,15 +204,11 @@ pub fn base(
         .iter()
         .map(|i| (&observed[*i].recording, observed[*i].speed_m_s, force(&observed[*i])))
         .collect();
-    let quasi_static = QuasiStatic::new(&track, direction, &pattern, &inputs).fit(NOMINAL).parameters;
+    let quasi_static = QuasiStatic::new(&track, direction, &pattern, &inputs).fit(BallastParameters::NOMINAL);
     let start = match range_m_s2 {
         // A clipped record has steps in its velocity, which the quasi-static fit takes for deflection.
-        Some(_) => NOMINAL,
-        None => BallastParameters {
-            p2_n_m2: (1.5 * quasi_static.p2_n_m2).max(0.3 * quasi_static.p1_n_m2),
-            p3: 0.4,
-            ..quasi_static
-        },
+        Some(_) => BallastParameters::NOMINAL,
+        None => quasi_static.start_of_evidence(),
     };
     let mut world = nominal_world(site, start)?;
     world.sensor.range_m_s2 = range_m_s2;

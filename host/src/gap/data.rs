@@ -180,6 +180,18 @@ fn slope(values: &[f64]) -> Vec<f64> {
         .collect()
 }
 
+/// Sum of squares of windows, and the part of it that is in their mean.
+pub fn energies(windows: &[Vec<f64>]) -> (f64, f64) {
+    let total = |v: &[f64]| v.iter().map(|x| x * x).sum::<f64>();
+    (windows.iter().map(|w| total(w)).sum(), windows.len() as f64 * total(&mean_of(windows)))
+}
+
+/// Sum of squares of what differs between windows, without the bias of their number, from [`energies`].
+pub fn own_energy((all, shared): (f64, f64), windows: usize) -> f64 {
+    let k = windows as f64;
+    ((all - shared) * k / (k - 1.0).max(1.0)).max(0.0)
+}
+
 /// Mean of windows of equal length.
 pub fn mean_of(windows: &[Vec<f64>]) -> Vec<f64> {
     let n = windows.first().map_or(0, Vec::len);

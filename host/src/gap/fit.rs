@@ -5,10 +5,17 @@
 //! position error per passage, and the parameters of the effects. The simulation is exact in all of them; its derivatives
 //! are differences, except those for the path, which come from the linear model once per site.
 
-use faer::Mat;
+mod priors;
+mod screening;
+
+pub use priors::{OPERATOR_SD, operator_ratios};
+pub use screening::{Direction, Screening, screen};
+
 use faer::linalg::solvers::{Llt, Solve as _};
+use faer::{Mat, MatRef};
 use rayon::prelude::*;
 
+use self::priors::{BALLAST_PRIOR, SHIFT_SD_M, add_prior, common_shift, prior_cost};
 use super::GapError;
 use super::data::Observed;
 use super::effect::Effect;
@@ -70,37 +77,27 @@ pub struct Whitened {
     pub residual: Mat<f64>,
 }
 
-/// Prior of ln p1, ln p2 (30 MN/m² within a factor of about three, paper Table 1) and of the shape.
-const BALLAST_PRIOR: [(f64, f64); 3] = [(17.2, 1.0), (17.2, 1.0), (0.4, 0.1)];
 /// Steps of the numerical derivatives.
 const BALLAST_STEP: [f64; 3] = [0.04, 0.04, 0.04];
 /// Longest step of a fit: a factor of two in stiffness, a fifth of the range of the shape.
 const BALLAST_STRIDE: [f64; 3] = [0.7, 0.7, 0.2];
-/// Common and own position errors, metres.
-const SHIFT_SD_M: (f64, f64) = (0.05, 0.02);
 /// Step for the derivative by position, metres.
 const SHIFT_STEP_M: f64 = 2e-4;
-/// Operator's speeds are within 1 % (uniform).
-pub const OPERATOR_SD: f64 = 0.0058;
 
 impl State {
     /// Start without effects.
     pub fn start(frame: &Frame, ballast: &BallastParameters) -> Self {
         Self {
             deviation_m: vec![0.0; frame.deviation_root.nrows()],
-            ballast: [ballast.p1_n_m2.ln(), ballast.p2_n_m2.ln(), ballast.p3],
+            ballast: ballast.to_vector(),
             shift_m: vec![0.0; frame.observed.len()],
             effects: Vec::new(),
         }
     }
 
-    /// Ballast parameters.
+    /// Ballast parameters, kept within what a simulation bears.
     pub fn ballast(&self) -> BallastParameters {
-        BallastParameters {
-            p1_n_m2: self.ballast[0].clamp(13.0, 20.0).exp(),
-            p2_n_m2: self.ballast[1].clamp(13.0, 20.0).exp(),
-            p3: self.ballast[2].clamp(0.0, 1.0),
-        }
+        BallastParameters::from_vector(&self.ballast)
     }
 
     /// World in this state.
@@ -297,38 +294,6 @@ fn cost(
     misfit + prior_cost(frame, effects, state, subset)
 }
 
-fn prior_cost(frame: &Frame, effects: &[&dyn Effect], state: &State, subset: &[usize]) -> f64 {
-    let square = |v: f64, (mean, sd): (f64, f64)| 0.5 * ((v - mean) / sd).powi(2);
-    let deviation = Mat::from_fn(state.deviation_m.len(), 1, |i, _| state.deviation_m[i]);
-    let white = lower_solve(&frame.deviation_root, &deviation);
-    let path: f64 = 0.5 * white.col_as_slice(0).iter().map(|v| v * v).sum::<f64>();
-    let ballast: f64 = state.ballast.iter().zip(BALLAST_PRIOR).map(|(v, p)| square(*v, p)).sum();
-    let common = common_shift(state, subset);
-    let shift: f64 = square(common, (0.0, SHIFT_SD_M.0))
-        + subset.iter().map(|i| square(state.shift_m[*i] - common, (0.0, SHIFT_SD_M.1))).sum::<f64>();
-    let parameters: f64 = effects
-        .iter()
-        .zip(&state.effects)
-        .flat_map(|(e, c)| e.parameters().iter().zip(c))
-        .map(|(p, c)| square(*c, p.prior))
-        .sum();
-    path + ballast + shift + parameters + clock_cost(frame, state.world(frame, effects).sensor.clock_error)
-}
-
-/// The operator's speeds see the recorder's clock from outside.
-fn clock_cost(frame: &Frame, clock_error: f64) -> f64 {
-    let ratios: Vec<f64> =
-        frame.observed.iter().filter_map(|o| o.operator_m_s.map(|v| v / o.speed_m_s - 1.0)).collect();
-    let sum: f64 = ratios.iter().map(|r| ((r - clock_error) / OPERATOR_SD).powi(2)).sum();
-    0.5 * sum
-}
-
-fn common_shift(state: &State, subset: &[usize]) -> f64 {
-    let (common, own) = (SHIFT_SD_M.0.powi(-2), SHIFT_SD_M.1.powi(-2));
-    let sum: f64 = subset.iter().map(|i| state.shift_m[*i]).sum();
-    sum * own / (common + own * subset.len() as f64)
-}
-
 /// Columns [ballast | common shift | effects] per passage by differences.
 fn derivatives(
     frame: &Frame,
@@ -380,18 +345,16 @@ fn derivatives(
 
 /// L⁻¹ · columns.
 pub fn whitened(factor: &Llt<f64>, columns: &Mat<f64>) -> Mat<f64> {
-    let mut out = columns.clone();
-    faer::linalg::triangular_solve::solve_lower_triangular_in_place(factor.L(), out.as_mut(), faer::Par::Seq);
-    out
+    forward_solved(factor.L(), columns)
 }
 
 fn lower_solve(root: &Mat<f64>, columns: &Mat<f64>) -> Mat<f64> {
+    forward_solved(root.as_ref(), columns)
+}
+
+fn forward_solved(lower: MatRef<'_, f64>, columns: &Mat<f64>) -> Mat<f64> {
     let mut out = columns.clone();
-    faer::linalg::triangular_solve::solve_lower_triangular_in_place(
-        root.as_ref(),
-        out.as_mut(),
-        faer::Par::Seq,
-    );
+    faer::linalg::triangular_solve::solve_lower_triangular_in_place(lower, out.as_mut(), faer::Par::Seq);
     out
 }
 
@@ -465,71 +428,6 @@ fn solve(
         .map(|(_, _, precision, coupling, value)| (value - dot(coupling, &step)) / precision)
         .collect();
     Ok(Solution { step, own_m, hessian: information, vector })
-}
-
-fn add_prior(
-    frame: &Frame,
-    effects: &[&dyn Effect],
-    state: &State,
-    shape: &Shape,
-    common: f64,
-    information: &mut Mat<f64>,
-    vector: &mut Mat<f64>,
-) {
-    let m = shape.path;
-    let inverse_root = lower_solve(&frame.deviation_root, &Mat::identity(m, m));
-    let precision = inverse_root.transpose() * &inverse_root;
-    let deviation = Mat::from_fn(m, 1, |i, _| state.deviation_m[i]);
-    let pull = &precision * &deviation;
-    for j in 0..m {
-        for i in 0..m {
-            information[(i, j)] += precision[(i, j)];
-        }
-        vector[(j, 0)] -= pull[(j, 0)];
-    }
-    let mut add = |at: usize, value: f64, (mean, sd): (f64, f64)| {
-        information[(at, at)] += sd.powi(-2);
-        vector[(at, 0)] += (mean - value) * sd.powi(-2);
-    };
-    for k in 0..3 {
-        add(m + k, state.ballast[k], BALLAST_PRIOR[k]);
-    }
-    add(m + 3, common, (0.0, SHIFT_SD_M.0));
-    let mut at = m + 4;
-    for (e, effect) in effects.iter().enumerate() {
-        for (k, p) in effect.parameters().iter().enumerate() {
-            add(at, state.effects[e][k], p.prior);
-            at += 1;
-        }
-    }
-    clock_prior(frame, effects, state, m + 4, information, vector);
-}
-
-/// The operator's speeds are one more measurement of whatever changes the clock.
-fn clock_prior(
-    frame: &Frame,
-    effects: &[&dyn Effect],
-    state: &State,
-    first: usize,
-    information: &mut Mat<f64>,
-    vector: &mut Mat<f64>,
-) {
-    let here = state.world(frame, effects).sensor.clock_error;
-    let speeds = frame.observed.iter().filter_map(|o| o.operator_m_s.map(|v| v / o.speed_m_s - 1.0));
-    let (count, sum) = speeds.fold((0.0, 0.0), |(n, s), r| (n + 1.0, s + r - here));
-    let mut at = first;
-    for (e, effect) in effects.iter().enumerate() {
-        for (k, p) in effect.parameters().iter().enumerate() {
-            let mut moved = state.clone();
-            moved.effects[e][k] += p.step;
-            let slope = (moved.world(frame, effects).sensor.clock_error - here) / p.step;
-            if slope != 0.0 {
-                information[(at, at)] += count * (slope / OPERATOR_SD).powi(2);
-                vector[(at, 0)] += sum * slope / OPERATOR_SD.powi(2);
-            }
-            at += 1;
-        }
-    }
 }
 
 fn moved(
@@ -606,135 +504,8 @@ fn squared(a: &Mat<f64>) -> f64 {
     dot(a, a)
 }
 
-/// Direction in which an effect, or the difference that a start value makes, moves the passages.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Direction {
-    /// Which of the effects.
-    pub effect: usize,
-    /// Which parameter, for effects that begin smoothly at nought.
-    pub parameter: Option<usize>,
-    /// Which start otherwise.
-    pub start: usize,
-}
-
-/// Information on the directions of a list of effects, the base model's own unknowns eliminated.
-pub struct Screening {
-    /// Order of rows and columns.
-    pub directions: Vec<Direction>,
-    /// Information matrix without the directions' priors.
-    pub information: Mat<f64>,
-    /// Information vector.
-    pub vector: Mat<f64>,
-    /// Prior standard deviation of each direction's coefficient.
-    pub prior_sd: Vec<f64>,
-}
-
-/// Linear screening of `candidates` around a fit with `accepted` effects.
-pub fn screen(
-    frame: &Frame,
-    (accepted, state): (&[&dyn Effect], &State),
-    candidates: &[&dyn Effect],
-    hints: &super::effect::Hints,
-    subset: &[usize],
-) -> Result<Screening, GapError> {
-    let here = Evaluation::new(frame, accepted, state, subset)?;
-    let base = derivatives(frame, accepted, state, subset, &here)?;
-    let mut directions = Vec::new();
-    let mut variants: Vec<(Vec<f64>, f64)> = Vec::new();
-    let mut prior_sd = Vec::new();
-    for (e, effect) in candidates.iter().enumerate() {
-        match effect.nought() {
-            Some(nought) => {
-                for (k, p) in effect.parameters().iter().enumerate() {
-                    let mut moved = nought.clone();
-                    moved[k] += p.step;
-                    directions.push(Direction { effect: e, parameter: Some(k), start: 0 });
-                    variants.push((moved, p.step));
-                    prior_sd.push(p.prior.1);
-                }
-            }
-            None => {
-                for (start, coordinates) in effect.starts(hints).into_iter().enumerate() {
-                    directions.push(Direction { effect: e, parameter: None, start });
-                    variants.push((coordinates, 1.0));
-                    prior_sd.push(1.0);
-                }
-            }
-        }
-    }
-    let columns: Vec<Vec<Vec<f64>>> = directions
-        .par_iter()
-        .zip(&variants)
-        .map(|(d, (coordinates, step))| {
-            let mut world = state.world(frame, accepted);
-            let effect = candidates[d.effect];
-            effect.apply(&mut world, &values(effect, coordinates));
-            let shifts = (&state.shift_m[..], 0.0);
-            let predicted = match effect.simulated() {
-                true => mean_windows(frame, &world, &simulate(&world, frame, subset)?, subset, shifts),
-                false => mean_windows(frame, &world, &here.responses, subset, shifts),
-            };
-            Ok(predicted
-                .iter()
-                .zip(&here.predicted)
-                .map(|(a, b)| a.iter().zip(b).map(|(a, b)| (a - b) / step).collect())
-                .collect())
-        })
-        .collect::<Result<_, GapError>>()?;
-    let both: Vec<Mat<f64>> = (0..subset.len())
-        .map(|p| {
-            let b = &base[p];
-            Mat::from_fn(b.nrows(), b.ncols() + columns.len(), |k, c| {
-                if c < b.ncols() { b[(k, c)] } else { columns[c - b.ncols()][p][k] }
-            })
-        })
-        .collect();
-    let linear = whiten(frame, subset, &both, &here.residuals);
-    let (mut information, mut vector) = reduced(frame, accepted, state, subset, &linear, columns.len())?;
-    // The operator's speeds see a clock from outside.
-    let clock = state.world(frame, accepted).sensor.clock_error;
-    let speeds = frame.observed.iter().filter_map(|o| o.operator_m_s.map(|v| v / o.speed_m_s - 1.0));
-    let (count, sum) = speeds.fold((0.0, 0.0), |(n, s), r| (n + 1.0, s + r - clock));
-    for (i, (d, (coordinates, step))) in directions.iter().zip(&variants).enumerate() {
-        let mut world = state.world(frame, accepted);
-        candidates[d.effect].apply(&mut world, &values(candidates[d.effect], coordinates));
-        let slope = (world.sensor.clock_error - clock) / step;
-        information[(i, i)] += count * (slope / OPERATOR_SD).powi(2);
-        vector[(i, 0)] += sum * slope / OPERATOR_SD.powi(2);
-    }
-    Ok(Screening { directions, information, vector, prior_sd })
-}
-
 /// Values at coordinates, inside their ranges.
 pub fn values(effect: &dyn Effect, coordinates: &[f64]) -> Vec<f64> {
     let inside = |(p, c): (&super::effect::Parameter, &f64)| p.value(c.clamp(p.range[0], p.range[1]));
     effect.parameters().iter().zip(coordinates).map(inside).collect()
-}
-
-/// Information on the last `extra` columns with everything before them eliminated.
-fn reduced(
-    frame: &Frame,
-    accepted: &[&dyn Effect],
-    state: &State,
-    subset: &[usize],
-    linear: &Linearised,
-    extra: usize,
-) -> Result<(Mat<f64>, Mat<f64>), GapError> {
-    let own_effects: usize = accepted.iter().map(|e| e.parameters().len()).sum();
-    let shape = Shape { path: frame.deviation_root.nrows(), effects: own_effects + extra };
-    let solution = solve(frame, accepted, state, &shape, linear, subset)?;
-    let (n, m) = (shape.len(), shape.len() - extra);
-    let h = &solution.hessian;
-    let block = |r: std::ops::Range<usize>, c: std::ops::Range<usize>| {
-        Mat::from_fn(r.len(), c.len(), |i, j| h[(r.start + i, c.start + j)])
-    };
-    let (bb, be, ee) = (block(0..m, 0..m), block(0..m, m..n), block(m..n, m..n));
-    let factor = bb
-        .llt(faer::Side::Lower)
-        .map_err(|_| GapError::Singular { what: "the base model around its fit" })?;
-    let information = &ee - be.transpose() * factor.solve(&be);
-    let right = Mat::from_fn(m, 1, |i, _| solution.vector[(i, 0)]);
-    let own = Mat::from_fn(extra, 1, |i, _| solution.vector[(m + i, 0)]);
-    let vector = &own - be.transpose() * factor.solve(&right);
-    Ok((information, vector))
 }

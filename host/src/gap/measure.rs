@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use super::data::RATE_HZ;
+use super::data::{Observed, RATE_HZ, energies, own_energy};
 use super::fit::Frame;
 use super::forward::Response;
 use super::latent::LatentFit;
@@ -58,13 +58,24 @@ pub fn predictions(
 ) -> Vec<Prediction> {
     (0..frame.observed.len())
         .into_par_iter()
-        .map(|i| both(frame, i, (before.0, &before.1[i]), (after.0, &after.1[i]), latent))
+        .map(|i| {
+            let o = &frame.observed[i];
+            let recorded = o.trace();
+            let base = train(o, &recorded, (before.0, &before.1[i]));
+            let corrected = with_latent(train(o, &recorded, (after.0, &after.1[i])), latent, i);
+            let base_m = displacement(&base);
+            compared(o, recorded, (base, base_m), corrected)
+        })
         .collect()
 }
 
 /// Prediction of one passage by one model, which stands for both.
 pub fn prediction(frame: &Frame, i: usize, model: (&World, &Response), latent: &[&LatentFit]) -> Prediction {
-    both(frame, i, model, model, latent)
+    let o = &frame.observed[i];
+    let recorded = o.trace();
+    let corrected = with_latent(train(o, &recorded, model), latent, i);
+    let base = (corrected.clone(), displacement(&corrected));
+    compared(o, recorded, base, corrected)
 }
 
 /// Squares of the corrected model's residual over those of the signal: acceleration, displacement, and the part of the
@@ -75,36 +86,40 @@ pub fn residual_squares(p: &Prediction) -> [f64; 3] {
     [ratio(&a, 2), ratio(&d, 2), ratio(&a, 3)]
 }
 
-fn both(
-    frame: &Frame,
-    i: usize,
-    before: (&World, &Response),
-    after: (&World, &Response),
-    latent: &[&LatentFit],
-) -> Prediction {
-    let o = &frame.observed[i];
-    let (start_s, measured) = o.trace();
-    let train = |(world, response): (&World, &Response)| {
-        let gain = world.sensor.gain_at(o.temperature_c);
-        let late = o.lag(response, gain, ALIGN_M / o.speed_m_s);
-        let bogies: Vec<f64> = o.bogie_s().iter().map(|b| b + late).collect();
-        let mut out = vec![0.0; measured.len()];
-        response.add_train(&bogies, gain, start_s - o.first_axle_s, 1.0 / RATE_HZ, &mut out);
-        out
-    };
-    let (base, mut corrected) = (train(before), train(after));
+/// What a model says the train makes of the sensor over a recorded trace.
+fn train(
+    o: &Observed,
+    (start_s, measured): &(f64, Vec<f64>),
+    (world, response): (&World, &Response),
+) -> Vec<f64> {
+    let gain = world.sensor.gain_at(o.temperature_c);
+    let late = o.lag(response, gain, ALIGN_M / o.speed_m_s);
+    let bogies: Vec<f64> = o.bogie_s().iter().map(|b| b + late).collect();
+    let mut out = vec![0.0; measured.len()];
+    response.add_train(&bogies, gain, start_s - o.first_axle_s, 1.0 / RATE_HZ, &mut out);
+    out
+}
+
+fn with_latent(mut trace: Vec<f64>, latent: &[&LatentFit], i: usize) -> Vec<f64> {
     for fit in latent {
-        corrected.iter_mut().zip(&fit.traces[i]).for_each(|(c, t)| *c += t);
+        trace.iter_mut().zip(&fit.traces[i]).for_each(|(c, t)| *c += t);
     }
+    trace
+}
+
+fn compared(
+    o: &Observed,
+    (start_s, measured): (f64, Vec<f64>),
+    (base, base_m): (Vec<f64>, Vec<f64>),
+    corrected: Vec<f64>,
+) -> Prediction {
     let first = |b: &f64| (((o.first_axle_s + b + o.first_s - start_s) * RATE_HZ).round().max(0.0)) as usize;
     let windows = (o.bogie_s().iter().map(first).collect(), o.mean.len());
-    let acceleration = [measured, base, corrected];
-    let displacement = acceleration.each_ref().map(|a| displacement(a));
     Prediction {
         passage_id: o.passage_id,
         speed_m_s: o.speed_m_s,
-        acceleration,
-        displacement,
+        displacement: [displacement(&measured), base_m, displacement(&corrected)],
+        acceleration: [measured, base, corrected],
         windows,
         first_m: o.first_s * o.speed_m_s,
     }
@@ -222,14 +237,11 @@ fn floor(residual: &[f64], (starts, len): &(Vec<usize>, usize)) -> f64 {
     let windows: Vec<Vec<f64>> =
         starts.iter().filter_map(|s| residual.get(*s..s + len)).map(<[f64]>::to_vec).collect();
     let total = |v: &[f64]| v.iter().map(|x| x * x).sum::<f64>();
-    let inside: f64 = windows.iter().map(|w| total(w)).sum();
     if windows.len() < 2 {
         return total(residual);
     }
-    let mean = super::data::mean_of(&windows);
-    let k = windows.len() as f64;
-    let scatter = (inside - k * total(&mean)) * k / (k - 1.0);
-    (total(residual) - inside).max(0.0) + scatter.max(0.0)
+    let inside = energies(&windows);
+    (total(residual) - inside.0).max(0.0) + own_energy(inside, windows.len())
 }
 
 #[cfg(test)]

@@ -95,11 +95,11 @@ const SCOUTED: usize = 3;
 /// States from which the fit of an effect that does not begin smoothly starts: the base model's, which such an effect may
 /// have driven far away, and nominal ballast with the scan.
 fn states(state: &State) -> Vec<State> {
-    let nominal = super::base::NOMINAL;
+    let nominal = crate::ballast::BallastParameters::NOMINAL;
     let mut all = vec![state.clone()];
     if (state.ballast[0] - nominal.p1_n_m2.ln()).abs() > FAR {
         let mut fresh = state.clone();
-        fresh.ballast = [nominal.p1_n_m2.ln(), nominal.p2_n_m2.ln(), nominal.p3];
+        fresh.ballast = nominal.to_vector();
         fresh.deviation_m.fill(0.0);
         all.push(fresh);
     }

@@ -1,0 +1,121 @@
+//! From the effects found to the verdict: final fit, held-out passages, parameters with intervals.
+
+use super::{Diagnosis, MOST_SURE, Named, Session};
+use crate::gap::GapError;
+use crate::gap::effect::{Scale, Stage};
+use crate::gap::fit::{Fit, FitOptions, fit, simulate};
+use crate::gap::latent::LatentFit;
+use crate::gap::measure::{Gap, Prediction, measure, predictions};
+use crate::gap::verdict::{Verdict, verdict};
+use crate::gap::where_;
+use crate::gap::world::World;
+use crate::progress::Progress;
+
+/// Parameters are not known better than this, relative or in units of the coordinate: what the forward model leaves out.
+const MODEL_ERROR: f64 = 0.06;
+
+impl Session<'_> {
+    pub(super) fn conclude(
+        mut self,
+        base_world: &World,
+        progress: &dyn Progress,
+    ) -> Result<Diagnosis, GapError> {
+        progress.begin("held-out passages", 3);
+        if !self.accepted.is_empty() {
+            let state = self.state();
+            let last =
+                fit(&self.base.frame, &self.accepted, state, &self.split.train, FitOptions::default())?;
+            self.describe(&last);
+            self.fit = Some(last);
+        }
+        progress.step();
+        let frame = &self.base.frame;
+        let all: Vec<usize> = (0..frame.observed.len()).collect();
+        let after_state = self.state();
+        let after_world = after_state.world(frame, &self.accepted);
+        let base_responses = simulate(base_world, frame, &all)?;
+        let after_responses = simulate(&after_world, frame, &all)?;
+        progress.step();
+        let latent: Vec<&LatentFit> = self.latent_fits.iter().map(|(_, f)| f).collect();
+        let base = (base_world, base_responses.as_slice());
+        let mut predicted = predictions(frame, base, (&after_world, &after_responses), &latent);
+        let held_out = |predicted: &[Prediction]| -> Vec<Prediction> {
+            self.split.test.iter().map(|i| predicted[*i].clone()).collect()
+        };
+        let mut gap = measure(&held_out(&predicted), !self.named.is_empty());
+        if !self.named.is_empty() && gap.closed_fraction_ci90[1] < 0.0 {
+            self.remarks.push(withdrawn(&self.named, &gap));
+            for r in self.ranking.iter_mut().filter(|r| self.named.iter().any(|n| n.name == r.name)) {
+                r.probability = r.probability.min(1.0 - MOST_SURE);
+            }
+            self.named.clear();
+            predicted = predictions(frame, base, base, &[]);
+            gap = measure(&held_out(&predicted), false);
+        }
+        let held_out = held_out(&predicted);
+        let residuals = where_::residuals(&predicted, frame, &self.split.test);
+        let depends_on = where_::depends_on(&residuals, &self.named);
+        let position_m = where_::positions(&predicted);
+        self.ranking.sort_by(|a, b| b.probability.total_cmp(&a.probability));
+        for r in &mut self.ranking {
+            let named = self.named.iter().any(|n| n.name == r.name);
+            r.gap_after = if named { gap.after } else { gap.before };
+        }
+        let verdict = if self.untrusted { Verdict::Unexplained } else { verdict(&gap, &self.named) };
+        let stage = match self.foreign_scan {
+            true => Some(Stage::Geometry),
+            false => crate::gap::verdict::stage(verdict, &self.named, &self.ranking),
+        };
+        progress.step();
+        Ok(Diagnosis {
+            verdict,
+            stage,
+            effects: if verdict == Verdict::NoGap { Vec::new() } else { self.named },
+            ranking: self.ranking,
+            gap,
+            depends_on,
+            position_m,
+            node_gap: None,
+            predictions: held_out,
+            cosines: self.cosines,
+            remarks: self.remarks,
+            residuals,
+            skipped: 0,
+            consequences: None,
+            seconds: 0.0,
+        })
+    }
+
+    /// Parameters with intervals of the accepted effects.
+    fn describe(&mut self, fit: &Fit) {
+        let widen = 1.645 * self.inflation(fit).sqrt();
+        let mut at = 3;
+        for (effect, coordinates) in self.accepted.iter().zip(&fit.state.effects) {
+            let mut list = Vec::new();
+            for (p, c) in effect.parameters().iter().zip(coordinates) {
+                let model = MODEL_ERROR * if p.scale == Scale::Log { 1.0 } else { c.abs().max(1.0) };
+                let half = widen * fit.covariance[(at, at)].max(0.0).sqrt() + model;
+                at += 1;
+                if !p.nuisance {
+                    let ends = [p.value(c - half), p.value(c + half)];
+                    list.push((p.name, p.value(*c), ends[0].min(ends[1]), ends[0].max(ends[1])));
+                }
+            }
+            if let Some(named) = self.named.iter_mut().find(|n| n.name == effect.name()) {
+                named.parameters = list;
+            }
+        }
+    }
+}
+
+/// What is said of effects that predict the held-out passages worse than the base model does.
+fn withdrawn(named: &[Named], gap: &Gap) -> String {
+    let names: Vec<&str> = named.iter().map(|n| n.name).collect();
+    format!(
+        "{} would explain the passages used for the search, but predict the held-out ones worse (gap {:.3} instead of {:.3}): \
+         withdrawn",
+        names.join(" and "),
+        gap.after,
+        gap.before
+    )
+}

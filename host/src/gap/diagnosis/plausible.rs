@@ -1,0 +1,101 @@
+//! Whether an effect that fits well can be one: its size, its range, and what was recorded beside the acceleration.
+
+use faer::Mat;
+
+use super::Session;
+use crate::gap::effect::Effect;
+use crate::gap::fit::{Fit, OPERATOR_SD, operator_ratios, simulate, whitened};
+
+/// A wrong clock must agree with the operator's speeds within this many standard deviations of their mean.
+const CLOCK_SPREAD: f64 = 4.0;
+/// Probability that temperatures shuffled among the passages would go with their scale as well, above which a gain does not
+/// follow the temperature: trains differ by chance.
+const MOST_CHANCE: f64 = 0.01;
+const SHUFFLES: usize = 999;
+
+impl Session<'_> {
+    /// Whether what was recorded beside the acceleration bears an effect out: the operator's speeds a wrong clock, the
+    /// temperatures a gain that follows them.
+    pub(super) fn borne_out(&self, effect: &dyn Effect, found: &Fit) -> bool {
+        let observed = &self.base.frame.observed;
+        let Some(coordinates) = found.state.effects.last() else { return true };
+        match effect.name() {
+            "clock-error" => {
+                let relative = effect.parameters()[0].value(coordinates[0]);
+                let ratios = operator_ratios(&self.base.frame);
+                let sd = OPERATOR_SD / (ratios.len().max(1) as f64).sqrt();
+                ratios.is_empty() || (crate::signal::mean(&ratios) - relative).abs() < CLOCK_SPREAD * sd
+            }
+            "gain-temperature" => {
+                let train = &self.split.train;
+                let of =
+                    |value: &dyn Fn(usize) -> f64| -> Vec<f64> { train.iter().map(|i| value(*i)).collect() };
+                let scales = of(&|i| self.scale_of(i));
+                let temperatures = of(&|i| observed[i].temperature_c);
+                let speeds = of(&|i| observed[i].speed_m_s);
+                chance(&scales, &temperatures, &speeds) < MOST_CHANCE
+            }
+            _ => true,
+        }
+    }
+
+    /// Factor by which the base model's mean window fits a passage best, given how wheels differ.
+    fn scale_of(&self, index: usize) -> f64 {
+        let frame = &self.base.frame;
+        let world = self.base.fit.state.world(frame, &[]);
+        let o = &frame.observed[index];
+        let Ok(responses) = simulate(&world, frame, &[index]) else { return 1.0 };
+        let late_s = self.base.fit.state.shift_m[index] / o.speed_m_s;
+        let predicted = o.predicted_mean(&responses[0], 1.0, late_s);
+        let columns = Mat::from_fn(o.mean.len(), 2, |k, c| if c == 0 { o.mean[k] } else { predicted[k] });
+        let white = whitened(&frame.factors[index], &columns);
+        let (mean, predicted) = (white.col_as_slice(0), white.col_as_slice(1));
+        let product = |b: &[f64]| predicted.iter().zip(b).map(|(p, b)| p * b).sum::<f64>();
+        product(mean) / product(predicted).max(f64::MIN_POSITIVE)
+    }
+}
+
+/// How often shuffled `x` go with `y` at least as well as `x` do, both freed of what goes with `z`.
+fn chance(y: &[f64], x: &[f64], z: &[f64]) -> f64 {
+    let centred = |v: &[f64]| -> Vec<f64> {
+        let mean = crate::signal::mean(v);
+        v.iter().map(|a| a - mean).collect()
+    };
+    let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+    let z = centred(z);
+    let freed = |v: &[f64]| -> Vec<f64> {
+        let v = centred(v);
+        let slope = dot(&v, &z) / dot(&z, &z).max(f64::MIN_POSITIVE);
+        v.iter().zip(&z).map(|(a, b)| a - slope * b).collect()
+    };
+    let (y, mut x) = (freed(y), freed(x));
+    let found = dot(&x, &y).abs();
+    let mut random = crate::passage::random::Random::new(1, 1);
+    let mut as_good = 0;
+    for _ in 0..SHUFFLES {
+        for i in (1..x.len()).rev() {
+            x.swap(i, (random.unit() * (i + 1) as f64) as usize % (i + 1));
+        }
+        as_good += usize::from(dot(&x, &y).abs() >= found);
+    }
+    (as_good + 1) as f64 / (SHUFFLES + 1) as f64
+}
+
+/// Whether the last effect of a fit is larger than what the forward model's own errors can pass for.
+pub(super) fn large_enough(effect: &dyn Effect, fit: &Fit) -> bool {
+    let (Some(coordinates), Some(nought)) = (fit.state.effects.last(), effect.nought()) else { return true };
+    let parameters = effect.parameters().iter().zip(coordinates.iter().zip(&nought));
+    let mut asked = parameters.filter(|(p, _)| p.least > 0.0).peekable();
+    asked.peek().is_none() || asked.any(|(p, (c, n))| (c - n).abs() >= p.least)
+}
+
+/// Whether the last effect of a fit is away from the ends of its ranges.
+pub(super) fn inside_ranges(effect: &dyn Effect, fit: &Fit) -> bool {
+    let Some(coordinates) = fit.state.effects.last() else { return true };
+    effect
+        .parameters()
+        .iter()
+        .zip(coordinates)
+        .filter(|(p, _)| !p.nuisance)
+        .all(|(p, c)| *c > p.range[0] + 1e-9 && *c < p.range[1] - 1e-9)
+}

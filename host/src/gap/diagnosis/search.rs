@@ -1,0 +1,389 @@
+//! Search for effects: rounds of screening, fits, acceptance and confirmation.
+
+use super::plausible::{inside_ranges, large_enough};
+use super::{ALIGN_M, LEAST_GAIN, MOST_SURE, Named, Ranked, Session};
+use crate::gap::GapError;
+use crate::gap::base::fit_variation;
+use crate::gap::data::{energies, own_energy};
+use crate::gap::effect::{Effect, Stage};
+use crate::gap::fit::{Fit, FitOptions, State, fit, simulate};
+use crate::gap::forward::Response;
+use crate::gap::latent::{Latent, LatentFit, Scene};
+use crate::gap::measure;
+use crate::gap::select::{Tried, gain, round};
+use crate::gap::world::SensorModel;
+use crate::progress::Progress;
+
+/// Most effects in a verdict.
+const MOST_EFFECTS: usize = 3;
+/// Share of the misfit (weighted squares) that an effect must explain: 0.023 against 0.037 there.
+const LEAST_SHARE: f64 = 0.03;
+/// How far the base model must be above the scatter of the wheels, in quadrature, for an effect of the panel to be looked
+/// for. One reference recording, at 0.09, has nothing to explain, but a structured error with a high gain; the weakest
+/// known effect is at 0.21.
+const LEAST_EXCESS: f64 = 0.15;
+/// Energy of an effect of single wheels or recordings relative to their scatter.
+const LATENT_SHARE: f64 = 0.1;
+/// What an effect must take off the residual, RMS relative to the wheels' scatter: the first one named, and further ones,
+/// which may only mend the description of the first.
+const LEAST_GAINED: (f64, f64) = (0.15, 0.3);
+/// An effect of single recordings also counts when it explains this part of the residual's displacement: slow shifts have no
+/// energy worth mentioning in the acceleration.
+const DISPLACEMENT_SHARE: f64 = 0.5;
+/// Candidates within this of the best are not told apart.
+const SAME_GAIN: f64 = 4.0;
+/// Wheelsets of a train meet the same rail: their deviations are not as independent as the covariance says.
+const LATENT_INFLATION: f64 = 2.0;
+/// Evidence counts this much less than it says when it becomes a probability (calibrated on simulated trials).
+const PROBABILITY_SCALE: f64 = 4.0;
+
+/// A latent effect, what it found, and the part of the displacement's residual that this explains.
+type Explored = (&'static dyn Latent, Option<LatentFit>, f64);
+
+/// A model before the last effect.
+struct Confirmed {
+    squares: [f64; 3],
+    named: usize,
+    accepted: usize,
+    fit: Option<Fit>,
+}
+
+/// One candidate of a round.
+struct Candidate {
+    name: &'static str,
+    stage: Stage,
+    gain: f64,
+    misfit_gain: f64,
+    full: bool,
+}
+
+impl Session<'_> {
+    pub(super) fn search(&mut self, progress: &dyn Progress) -> Result<(), GapError> {
+        for number in self.named.len()..MOST_EFFECTS {
+            progress.begin(&format!("effects, round {}", number + 1), 2);
+            let earlier = Confirmed {
+                squares: self.current_squares()?,
+                named: self.named.len(),
+                accepted: self.accepted.len(),
+                fit: self.fit.clone(),
+            };
+            if !self.one_round(number, &earlier, progress)? {
+                break;
+            }
+        }
+        Ok(())
+    }
+
+    /// Tries everything on top of what is accepted; accepts the best if it is good enough.
+    fn one_round(
+        &mut self,
+        number: usize,
+        earlier: &Confirmed,
+        progress: &dyn Progress,
+    ) -> Result<bool, GapError> {
+        let mut latent = self.explore()?;
+        progress.step();
+        let names: Vec<&str> = self.named.iter().map(|n| n.name).collect();
+        let candidates: Vec<&'static dyn Effect> =
+            self.common.iter().copied().filter(|e| !names.contains(&e.name())).collect();
+        let state = self.state();
+        let reference =
+            fit(&self.base.frame, &self.accepted, state.clone(), self.search, FitOptions::THOROUGH)?;
+        let (mut tried, screening) = round(
+            &self.base.frame,
+            (&self.accepted, &reference.state),
+            &candidates,
+            &self.hints,
+            self.search,
+        )?;
+        if self.cosines.is_empty() {
+            self.cosines = cosines(&screening, &candidates);
+        }
+        progress.step();
+        let mut list = self.candidates(&tried, &reference, &latent);
+        let misfit: f64 = reference.passages.iter().map(|p| squares(&p.residual)).sum();
+        for c in &mut list {
+            c.gain = if self.worth_naming(c, number, misfit) { c.gain } else { c.gain.min(0.5 * LEAST_GAIN) };
+        }
+        list.sort_by(|a, b| b.gain.total_cmp(&a.gain));
+        // The best that also takes something off the residual.
+        for k in 0..list.len() {
+            // What was taken back is no alternative any more.
+            self.rank(&list[k..]);
+            if list[k].gain <= LEAST_GAIN {
+                break;
+            }
+            self.accept(&list[k..], &mut tried, &mut latent)?;
+            if self.confirm(earlier)? {
+                return Ok(true);
+            }
+        }
+        Ok(false)
+    }
+
+    /// Whether an effect explains enough to be named.
+    fn worth_naming(&self, c: &Candidate, number: usize, misfit: f64) -> bool {
+        // A model as good as the scatter of the wheels has nothing to explain, unless the gain comes from elsewhere.
+        let excess = self.scatter.0.max(0.0).sqrt();
+        let room = excess > LEAST_EXCESS || c.misfit_gain.is_infinite() || c.stage == Stage::Timing;
+        // What the first effect's description leaves must not be taken for a second one.
+        let (least_gain, least_share) =
+            if number == 0 { (LEAST_GAIN, LEAST_SHARE) } else { (2.0 * LEAST_GAIN, 2.5 * LEAST_SHARE) };
+        c.full && room && c.gain > least_gain && 2.0 * c.misfit_gain > least_share * misfit
+    }
+
+    fn candidates(&self, tried: &[Tried<'static>], reference: &Fit, latent: &[Explored]) -> Vec<Candidate> {
+        // The best fit of the round tells how much of the misfit is left to chance.
+        let inflation = tried
+            .iter()
+            .filter_map(|t| t.fit.as_ref())
+            .map(|f| self.inflation(f))
+            .fold(self.inflation(reference), f64::min);
+        let common = tried.iter().map(|t| {
+            let (gain, full) = match &t.fit {
+                // A strength at the end of its range is no strength but a fit that found no other way.
+                Some(f) => (
+                    f.log_evidence - reference.log_evidence,
+                    inside_ranges(t.effect, f) && large_enough(t.effect, f) && self.borne_out(t.effect, f),
+                ),
+                None => (t.screened.min(LEAST_GAIN), false),
+            };
+            let misfit_gain = t.fit.as_ref().map_or(0.0, |f| f.log_posterior - reference.log_posterior);
+            Candidate {
+                name: t.effect.name(),
+                stage: t.effect.stage(),
+                gain: gain / inflation,
+                misfit_gain,
+                full,
+            }
+        });
+        let latent = latent.iter().map(|(e, f, moved)| {
+            let share = f.as_ref().map_or(0.0, |f| self.share_of(f));
+            let full = share > LATENT_SHARE || *moved > DISPLACEMENT_SHARE;
+            let gain = f.as_ref().map_or(0.0, |f| f.gain) / LATENT_INFLATION;
+            let gain = if full { gain } else { gain.min(0.5 * LEAST_GAIN) };
+            Candidate { name: e.name(), stage: e.stage(), gain, misfit_gain: f64::INFINITY, full }
+        });
+        common.chain(latent).collect()
+    }
+
+    fn explore(&mut self) -> Result<Vec<Explored>, GapError> {
+        let state = self.state();
+        let world = state.world(&self.base.frame, &self.accepted);
+        let all: Vec<usize> = (0..self.base.frame.observed.len()).collect();
+        let responses = simulate(&world, &self.base.frame, &all)?;
+        let late = self.late(&state, &responses, world.sensor);
+        let frame = &self.base.frame;
+        let scene = Scene::new(
+            &world,
+            &frame.observed,
+            &frame.responses,
+            &self.base.shapes,
+            &self.base.variation,
+            &responses,
+            &late,
+            &self.split.train,
+        );
+        let known: Vec<&str> = self.named.iter().map(|n| n.name).collect();
+        let found = self
+            .latent
+            .iter()
+            .filter(|e| !known.contains(&e.name()))
+            .map(|e| (*e, e.explore(&scene)))
+            .map(|(e, f)| {
+                let moved = f.as_ref().map_or(0.0, |f| displacement_share(&scene, f));
+                (e, f, moved)
+            })
+            .collect();
+        self.scatter = self.squares_of(&scene.residuals);
+        Ok(found)
+    }
+
+    /// Position errors in time: fitted for training passages, by correlation for the others.
+    fn late(&self, state: &State, responses: &[Response], sensor: SensorModel) -> Vec<f64> {
+        self.base
+            .frame
+            .observed
+            .iter()
+            .enumerate()
+            .map(|(i, o)| match self.search.contains(&i) {
+                true => state.shift_m[i] / o.speed_m_s,
+                false => o.lag(&responses[i], sensor.gain_at(o.temperature_c), ALIGN_M / o.speed_m_s),
+            })
+            .collect()
+    }
+
+    /// Takes the first of a list into the model.
+    fn accept(
+        &mut self,
+        list: &[Candidate],
+        tried: &mut [Tried<'static>],
+        latent: &mut Vec<Explored>,
+    ) -> Result<(), GapError> {
+        let best = &list[0];
+        let name = best.name;
+        let same = list[1..]
+            .iter()
+            .filter(|c| c.full && best.gain - c.gain < SAME_GAIN + 0.01 * best.gain)
+            .map(|c| c.name)
+            .collect();
+        let probability = self.ranking.iter().find(|r| r.name == name).map_or(MOST_SURE, |r| r.probability);
+        let mut named = Named {
+            name,
+            stage: best.stage,
+            probability,
+            parameters: Vec::new(),
+            indistinguishable_from: same,
+            gained: f64::NAN,
+        };
+        if let Some(t) = tried.iter_mut().find(|t| t.effect.name() == name) {
+            self.accepted.push(t.effect);
+            self.fit = t.fit.take();
+        } else if let Some((effect, Some(found))) =
+            latent.drain(..).map(|(e, f, _)| (e, f)).find(|(e, _)| e.name() == name)
+        {
+            named.parameters = found.parameters.clone();
+            for (o, part) in self.base.frame.observed.iter_mut().zip(&found.windows) {
+                o.remove(part);
+            }
+            self.latent_fits.push((effect, found));
+            self.refit_variation()?;
+        }
+        self.named.push(named);
+        Ok(())
+    }
+
+    /// Squares of the residual of the training passages with the current model, relative to the signal: acceleration and
+    /// displacement, and the acceleration's part that differs from bogie to bogie.
+    fn current_squares(&self) -> Result<[f64; 3], GapError> {
+        let frame = &self.base.frame;
+        let world = self.state().world(frame, &self.accepted);
+        let train = &self.split.train;
+        let responses = simulate(&world, frame, train)?;
+        let latent: Vec<&LatentFit> = self.latent_fits.iter().map(|(_, f)| f).collect();
+        let mut sums = [0.0; 3];
+        for (i, r) in train.iter().zip(&responses) {
+            let p = measure::prediction(frame, *i, (&world, r), &latent);
+            let parts = measure::residual_squares(&p);
+            sums.iter_mut().zip(parts).for_each(|(s, v)| *s += v / train.len() as f64);
+        }
+        Ok(sums)
+    }
+
+    /// Whether the effect accepted last takes enough off the residual; if not, it is taken back.
+    fn confirm(&mut self, earlier: &Confirmed) -> Result<bool, GapError> {
+        let [acceleration, displacement, own] = self.current_squares()?;
+        let Some(last) = self.named.last_mut() else { return Ok(true) };
+        let part = |before: f64, now: f64, floor: f64| {
+            ((before - now).max(0.0) / floor.max(f64::MIN_POSITIVE)).sqrt()
+        };
+        // The displacement has no floor of its own; half of what it gains counts.
+        last.gained = part(earlier.squares[0], acceleration, own)
+            .max(0.5 * part(earlier.squares[1], displacement, displacement));
+        // The operator's speeds speak for a wrong clock, not the residual; effects of single wheels have their own rule.
+        let least = if earlier.named == 0 { LEAST_GAINED.0 } else { LEAST_GAINED.1 };
+        if last.gained >= least || last.stage == Stage::Timing || self.accepted.len() == earlier.accepted {
+            return Ok(true);
+        }
+        let name = last.name;
+        self.named.pop();
+        self.accepted.pop();
+        self.fit.clone_from(&earlier.fit);
+        for r in self.ranking.iter_mut().filter(|r| r.name == name) {
+            r.probability = r.probability.min(0.5 * (1.0 - r.probability).max(0.1));
+        }
+        Ok(false)
+    }
+
+    /// Once wheels are known to differ by an effect, their natural variation is what remains.
+    fn refit_variation(&mut self) -> Result<(), GapError> {
+        let state = self.state();
+        fit_variation(self.base, &self.accepted, &state, self.search)?;
+        let options = FitOptions::default();
+        if self.accepted.is_empty() {
+            self.base.fit = fit(&self.base.frame, &[], state, self.search, options)?;
+        } else {
+            self.fit = Some(fit(&self.base.frame, &self.accepted, state, self.search, options)?);
+        }
+        Ok(())
+    }
+
+    /// Probabilities of a round; an effect keeps its best.
+    fn rank(&mut self, list: &[Candidate]) {
+        let top = list.iter().map(|c| c.gain).fold(LEAST_GAIN, f64::max);
+        let weight = |g: f64| ((g - top) / PROBABILITY_SCALE).exp();
+        // Without a sufficient gain nothing acts.
+        let total: f64 = list.iter().map(|c| weight(c.gain)).sum::<f64>() + weight(LEAST_GAIN);
+        for c in list {
+            let probability = (weight(c.gain) / total).min(MOST_SURE);
+            let entry =
+                Ranked { name: c.name, stage: c.stage, probability, gain: c.gain, gap_after: f64::NAN };
+            match self.ranking.iter_mut().find(|r| r.name == c.name) {
+                Some(r) if r.probability >= probability => {}
+                Some(r) => *r = entry,
+                None => self.ranking.push(entry),
+            }
+        }
+    }
+
+    /// Energy that an effect adds to the windows, relative to that of the wheels' scatter and of the noise.
+    fn share_of(&self, found: &LatentFit) -> f64 {
+        let sum = |w: &Vec<Vec<f64>>| w.iter().flatten().map(|v| v * v).sum::<f64>();
+        let own: f64 = self.split.train.iter().map(|i| sum(&found.windows[*i])).sum();
+        own / self.scatter.1.max(f64::MIN_POSITIVE)
+    }
+
+    /// Squares of what differs between the bogies of the training passages, and the median over passages of how far the
+    /// whole residual is above that, relative, in squares.
+    fn squares_of(&self, residuals: &[Vec<Vec<f64>>]) -> (f64, f64) {
+        let mut own_sum = 0.0;
+        let mut above = Vec::new();
+        for i in &self.split.train {
+            let windows = &residuals[*i];
+            let inside = energies(windows);
+            let own = own_energy(inside, windows.len());
+            own_sum += own;
+            above.push(inside.0 / own.max(f64::MIN_POSITIVE) - 1.0);
+        }
+        (crate::signal::quantile(&above, 0.5), own_sum)
+    }
+}
+
+/// Part of the displacement's residual of the training passages that an effect explains.
+fn displacement_share(scene: &Scene, found: &LatentFit) -> f64 {
+    let (mut before, mut after) = (0.0, 0.0);
+    for i in scene.train {
+        let residual = &scene.traces[*i].residual;
+        let left: Vec<f64> = residual.iter().zip(&found.traces[*i]).map(|(r, f)| r - f).collect();
+        let energy = |a: &[f64]| measure::displacement(a).iter().map(|d| d * d).sum::<f64>();
+        (before, after) = (before + energy(residual), after + energy(&left));
+    }
+    1.0 - after / before.max(f64::MIN_POSITIVE)
+}
+
+fn squares(m: &faer::Mat<f64>) -> f64 {
+    m.col_as_slice(0).iter().map(|v| v * v).sum()
+}
+
+/// Cosines between the best directions of all pairs of effects.
+fn cosines(
+    screening: &crate::gap::fit::Screening,
+    candidates: &[&'static dyn Effect],
+) -> Vec<(&'static str, &'static str, f64)> {
+    let best = |e: usize| {
+        (0..screening.directions.len())
+            .filter(|i| screening.directions[*i].effect == e)
+            .max_by(|a, b| gain(screening, &[*a]).total_cmp(&gain(screening, &[*b])))
+    };
+    let h = &screening.information;
+    let mut out = Vec::new();
+    for a in 0..candidates.len() {
+        for b in a + 1..candidates.len() {
+            if let (Some(i), Some(j)) = (best(a), best(b)) {
+                let cosine = h[(i, j)] / (h[(i, i)] * h[(j, j)]).sqrt().max(f64::MIN_POSITIVE);
+                out.push((candidates[a].name(), candidates[b].name(), cosine));
+            }
+        }
+    }
+    out
+}

@@ -1,0 +1,137 @@
+//! What a site does not allow to tell, and whether effects may be looked for at all.
+
+use super::{ALIGN_M, PATH_PRIOR, Session};
+use crate::gap::base::{Base, base};
+use crate::gap::consistency::Strangers;
+use crate::gap::data::energies;
+use crate::gap::fit::simulate;
+use crate::gap::world::World;
+use crate::recording::Site;
+
+/// Passages needed to look for an effect.
+const LEAST_PASSAGES: usize = 4;
+/// A scan is another crossing's when more than this part of the residual's energy is common to all wheels, when the path
+/// that fits instead differs from it by this part of its own energy, and when that leaves less than this of the common part.
+const FOREIGN_SCAN: (f64, f64, f64) = (0.7, 0.3, 0.5);
+
+impl Session<'_> {
+    /// What the site does not allow to tell.
+    pub(super) fn remark_on(&mut self, site: &Site) {
+        let spread = |v: Vec<f64>| {
+            let (l, h) =
+                v.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), x| (l.min(*x), h.max(*x)));
+            h - l
+        };
+        let observed = &self.base.frame.observed;
+        let mut say = |text: &str| self.remarks.push(text.into());
+        if observed.len() < 6 {
+            say(
+                "few passages: effects that vary from train to train cannot be told from chance; record at least 12",
+            );
+        }
+        if site.scan.is_none() {
+            say(
+                "no laser scan: load, unsprung mass and depth of the crossing trade against each other; a scan separates them",
+            );
+        }
+        if observed.iter().all(|o| o.operator_m_s.is_none()) {
+            say(
+                "no speeds from the operator: a clock error of less than 1 % cannot be told from ballast; state the speeds",
+            );
+        }
+        if observed.len() > 1 && spread(observed.iter().map(|o| o.temperature_c).collect()) < 5.0 {
+            say(
+                "constant temperature: a sensitivity that depends on it cannot be seen; record on days that differ by 10 K",
+            );
+        }
+        let v: Vec<f64> = observed.iter().map(|o| o.speed_m_s).collect();
+        if observed.len() > 1 && spread(v.clone()) < 0.05 * crate::signal::mean(&v) {
+            say(
+                "constant speed: what is fixed in time cannot be told from what is fixed along the track; record other speeds",
+            );
+        }
+        if observed.len() > 1 && spread(observed.iter().map(|o| o.axle_load_kg).collect()) < 100.0 {
+            say(
+                "one axle load: voids, axle load and stiffness are told apart by their shape only; a lighter train would separate them",
+            );
+        }
+    }
+
+    /// Whether there is enough, and one crossing only, to look for effects in. What is wrong is said.
+    pub(super) fn trustworthy(&mut self, site: &Site, before: &World) -> bool {
+        let observed = &self.base.frame.observed;
+        if observed.len() < LEAST_PASSAGES {
+            self.remarks.push(format!(
+                "{} passages: no effect is looked for, chance would name one; record at least {LEAST_PASSAGES}",
+                observed.len()
+            ));
+            return false;
+        }
+        let strangers = Strangers::among(observed);
+        if strangers.matter() {
+            self.untrusted = true;
+            self.remarks.push(format!(
+                "passages {:?} do not resemble the others: recordings of more than one crossing, direction or sensor position; \
+                 sort them, no effect is looked for",
+                strangers.passage_id
+            ));
+            return false;
+        }
+        if site.scan.is_none() && observed.iter().all(|o| o.operator_m_s.is_none()) {
+            self.remarks.push(
+                "neither a laser scan nor speeds: path, load and clock take over from one another; no effect is looked for, add \
+                 one of the two"
+                    .into(),
+            );
+            return false;
+        }
+        if site.scan.is_some() && self.scan_is_foreign(site, before) {
+            self.remarks.push(
+                "the laser scan does not belong to these recordings: without it they are predicted far better, over another \
+                 path; scan again, no effect is looked for"
+                    .into(),
+            );
+            (self.foreign_scan, self.untrusted) = (true, true);
+            return false;
+        }
+        true
+    }
+
+    /// Whether another path than the scan's predicts the recordings far better.
+    fn scan_is_foreign(&self, site: &Site, before: &World) -> bool {
+        let excess = |b: &Base| -> Option<f64> {
+            let world = b.fit.state.world(&b.frame, &[]);
+            let responses = simulate(&world, &b.frame, self.search).ok()?;
+            let residuals: Vec<Vec<Vec<f64>>> = self
+                .search
+                .iter()
+                .zip(&responses)
+                .map(|(i, r)| {
+                    let o = &b.frame.observed[*i];
+                    o.window_residuals(r, 1.0, o.lag(r, 1.0, ALIGN_M / o.speed_m_s))
+                })
+                .collect();
+            let ratio = |w: &Vec<Vec<f64>>| {
+                let (all, shared) = energies(w);
+                shared / all.max(f64::MIN_POSITIVE)
+            };
+            Some(crate::signal::quantile(&residuals.iter().map(ratio).collect::<Vec<_>>(), 0.5))
+        };
+        let with = excess(self.base).unwrap_or(0.0);
+        if with < FOREIGN_SCAN.0 {
+            return false;
+        }
+        let mut bare = site.clone();
+        bare.scan = None;
+        let Ok(free) = base(&bare, self.search, self.search, &PATH_PRIOR, None) else { return false };
+        let world = free.fit.state.world(&free.frame, &[]);
+        let (mut off, mut own) = (0.0, 0.0);
+        for k in -40..=40 {
+            let x = 0.3 + 0.01 * f64::from(k);
+            let (a, b) = (before.path.scan.at(x), world.path.at(crate::track::Side::Crossing, x));
+            off += (a - b).powi(2);
+            own += a * a;
+        }
+        off > FOREIGN_SCAN.1 * own && excess(&free).is_some_and(|without| without < FOREIGN_SCAN.2 * with)
+    }
+}

@@ -1,0 +1,117 @@
+//! What is assumed of a fit's unknowns before the recordings, and what the operator's speeds say of the clock.
+
+use faer::Mat;
+
+use super::{Frame, Shape, State, lower_solve};
+use crate::gap::effect::Effect;
+
+/// Prior of ln p1, ln p2 (30 MN/m² within a factor of about three, paper Table 1) and of the shape.
+pub(super) const BALLAST_PRIOR: [(f64, f64); 3] = [(17.2, 1.0), (17.2, 1.0), (0.4, 0.1)];
+/// Common and own position errors, metres.
+pub(super) const SHIFT_SD_M: (f64, f64) = (0.05, 0.02);
+/// Operator's speeds are within 1 % (uniform).
+pub const OPERATOR_SD: f64 = 0.0058;
+
+pub(super) fn prior_cost(frame: &Frame, effects: &[&dyn Effect], state: &State, subset: &[usize]) -> f64 {
+    let square = |v: f64, (mean, sd): (f64, f64)| 0.5 * ((v - mean) / sd).powi(2);
+    let deviation = Mat::from_fn(state.deviation_m.len(), 1, |i, _| state.deviation_m[i]);
+    let white = lower_solve(&frame.deviation_root, &deviation);
+    let path: f64 = 0.5 * white.col_as_slice(0).iter().map(|v| v * v).sum::<f64>();
+    let ballast: f64 = state.ballast.iter().zip(BALLAST_PRIOR).map(|(v, p)| square(*v, p)).sum();
+    let common = common_shift(state, subset);
+    let shift: f64 = square(common, (0.0, SHIFT_SD_M.0))
+        + subset.iter().map(|i| square(state.shift_m[*i] - common, (0.0, SHIFT_SD_M.1))).sum::<f64>();
+    let parameters: f64 = effects
+        .iter()
+        .zip(&state.effects)
+        .flat_map(|(e, c)| e.parameters().iter().zip(c))
+        .map(|(p, c)| square(*c, p.prior))
+        .sum();
+    path + ballast + shift + parameters + clock_cost(frame, state.world(frame, effects).sensor.clock_error)
+}
+
+/// The operator's speeds see the recorder's clock from outside.
+fn clock_cost(frame: &Frame, clock_error: f64) -> f64 {
+    operator_ratios(frame).iter().map(|r| 0.5 * ((r - clock_error) / OPERATOR_SD).powi(2)).sum()
+}
+
+/// Operator's speeds relative to those by the recorder's clock, less 1: what its error should be.
+pub fn operator_ratios(frame: &Frame) -> Vec<f64> {
+    frame.observed.iter().filter_map(|o| o.operator_m_s.map(|v| v / o.speed_m_s - 1.0)).collect()
+}
+
+/// Information and value that the operator's speeds add to a coordinate by which the clock error changes with `slope` from
+/// where it is.
+pub(super) fn clock_information(ratios: &[f64], here: f64, slope: f64) -> (f64, f64) {
+    let sum: f64 = ratios.iter().map(|r| r - here).sum();
+    (ratios.len() as f64 * (slope / OPERATOR_SD).powi(2), sum * slope / OPERATOR_SD.powi(2))
+}
+
+pub(super) fn common_shift(state: &State, subset: &[usize]) -> f64 {
+    let (common, own) = (SHIFT_SD_M.0.powi(-2), SHIFT_SD_M.1.powi(-2));
+    let sum: f64 = subset.iter().map(|i| state.shift_m[*i]).sum();
+    sum * own / (common + own * subset.len() as f64)
+}
+
+pub(super) fn add_prior(
+    frame: &Frame,
+    effects: &[&dyn Effect],
+    state: &State,
+    shape: &Shape,
+    common: f64,
+    information: &mut Mat<f64>,
+    vector: &mut Mat<f64>,
+) {
+    let m = shape.path;
+    let inverse_root = lower_solve(&frame.deviation_root, &Mat::identity(m, m));
+    let precision = inverse_root.transpose() * &inverse_root;
+    let deviation = Mat::from_fn(m, 1, |i, _| state.deviation_m[i]);
+    let pull = &precision * &deviation;
+    for j in 0..m {
+        for i in 0..m {
+            information[(i, j)] += precision[(i, j)];
+        }
+        vector[(j, 0)] -= pull[(j, 0)];
+    }
+    let mut add = |at: usize, value: f64, (mean, sd): (f64, f64)| {
+        information[(at, at)] += sd.powi(-2);
+        vector[(at, 0)] += (mean - value) * sd.powi(-2);
+    };
+    for k in 0..3 {
+        add(m + k, state.ballast[k], BALLAST_PRIOR[k]);
+    }
+    add(m + 3, common, (0.0, SHIFT_SD_M.0));
+    let mut at = m + 4;
+    for (e, effect) in effects.iter().enumerate() {
+        for (k, p) in effect.parameters().iter().enumerate() {
+            add(at, state.effects[e][k], p.prior);
+            at += 1;
+        }
+    }
+    clock_prior(frame, effects, state, m + 4, information, vector);
+}
+
+/// The operator's speeds are one more measurement of whatever changes the clock.
+fn clock_prior(
+    frame: &Frame,
+    effects: &[&dyn Effect],
+    state: &State,
+    first: usize,
+    information: &mut Mat<f64>,
+    vector: &mut Mat<f64>,
+) {
+    let here = state.world(frame, effects).sensor.clock_error;
+    let ratios = operator_ratios(frame);
+    let mut at = first;
+    for (e, effect) in effects.iter().enumerate() {
+        for (k, p) in effect.parameters().iter().enumerate() {
+            let mut moved = state.clone();
+            moved.effects[e][k] += p.step;
+            let slope = (moved.world(frame, effects).sensor.clock_error - here) / p.step;
+            let (h, b) = clock_information(&ratios, here, slope);
+            information[(at, at)] += h;
+            vector[(at, 0)] += b;
+            at += 1;
+        }
+    }
+}

@@ -81,6 +81,10 @@ pub trait Effect: Sync + Send {
     fn nought(&self) -> Option<Vec<f64>> {
         None
     }
+    /// How many of its parameters, from the first on, are sizes: nought where there is no effect.
+    fn sizes(&self) -> usize {
+        1
+    }
     /// Whether its parameters change the motion; a gain does not.
     fn simulated(&self) -> bool {
         true

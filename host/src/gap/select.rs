@@ -18,19 +18,33 @@ pub struct Tried<'e> {
 
 /// Candidates that are fitted at most in the first round, and in later ones.
 const FITTED: (usize, usize) = (5, 2);
+/// The same where all have been scouted.
+const FITTED_FROM_AFAR: usize = 3;
 /// Least expected gain for a fit; an effect that is worth naming gains several times as much.
 const LEAST_GAIN: f64 = 4.0;
 /// A candidate is not fitted when its expected gain is below this part of the largest.
 const LEAST_SHARE: f64 = 0.15;
 
-/// Screens and fits all candidates on top of `accepted`.
+/// What a round starts from.
+#[derive(Clone, Copy)]
+pub struct Standing<'a, 'e> {
+    /// Effects in the model already.
+    pub accepted: &'a [&'e dyn Effect],
+    /// Fit with them.
+    pub state: &'a State,
+    /// The model is so far off that its derivatives say little of what would mend it.
+    pub lost: bool,
+}
+
+/// Screens and fits candidates on top of what is accepted.
 pub fn round<'e>(
     frame: &Frame,
-    (accepted, state): (&[&'e dyn Effect], &State),
+    standing: Standing<'_, 'e>,
     candidates: &[&'e dyn Effect],
     hints: &Hints,
     subset: &[usize],
 ) -> Result<(Vec<Tried<'e>>, Screening), GapError> {
+    let Standing { accepted, state, lost } = standing;
     let screening = screen(frame, (accepted, state), candidates, hints, subset)?;
     let mut order: Vec<(usize, f64, usize)> = (0..candidates.len())
         .map(|e| {
@@ -39,22 +53,62 @@ pub fn round<'e>(
         })
         .collect();
     order.sort_by(|a, b| b.1.total_cmp(&a.1));
-    let largest = order.first().map_or(0.0, |o| o.1);
-    let mut tried = Vec::new();
-    for (rank, (e, gain, start)) in order.into_iter().enumerate() {
-        let effect = candidates[e];
+    let with =
+        |e: usize| -> Vec<&'e dyn Effect> { accepted.iter().copied().chain([candidates[e]]).collect() };
+    let fits = if lost {
+        fits_from_afar(frame, state, &order, &with, hints, subset)
+    } else {
+        let largest = order.first().map_or(0.0, |o| o.1);
         let most = if accepted.is_empty() { FITTED.0 } else { FITTED.1 };
-        let passes = rank < most && gain > LEAST_GAIN && gain > LEAST_SHARE * largest;
-        let fit = if passes {
-            let mut list: Vec<&dyn Effect> = accepted.to_vec();
-            list.push(effect);
-            candidate(frame, &list, state, &effect.starts(hints), start, subset)
-        } else {
-            None
-        };
-        tried.push(Tried { effect, screened: gain, fit });
-    }
+        order
+            .iter()
+            .enumerate()
+            .map(|(rank, (e, gain, start))| {
+                let passes = rank < most && *gain > LEAST_GAIN && *gain > LEAST_SHARE * largest;
+                let starts = candidates[*e].starts(hints);
+                passes.then(|| candidate(frame, &with(*e), state, &starts, *start, subset)).flatten()
+            })
+            .collect()
+    };
+    let tried = order
+        .into_iter()
+        .zip(fits)
+        .map(|((e, screened, _), fit)| Tried { effect: candidates[e], screened, fit })
+        .collect();
     Ok((tried, screening))
+}
+
+/// Fits in the order of `order`: every candidate is scouted from all its starts, near the model and on nominal ballast, and
+/// the most promising are fitted.
+fn fits_from_afar<'e>(
+    frame: &Frame,
+    state: &State,
+    order: &[(usize, f64, usize)],
+    with: &dyn Fn(usize) -> Vec<&'e dyn Effect>,
+    hints: &Hints,
+    subset: &[usize],
+) -> Vec<Option<Fit>> {
+    let scouted: Vec<Option<Fit>> = order
+        .iter()
+        .map(|(e, ..)| {
+            let list = with(*e);
+            let starts = list.last()?.starts(hints);
+            scout(frame, &list, &[state.clone(), on_nominal_ballast(state)], &starts, subset)
+        })
+        .collect();
+    let mut best: Vec<usize> = (0..order.len()).filter(|k| scouted[*k].is_some()).collect();
+    let evidence = |k: &usize| scouted[*k].as_ref().map_or(f64::NEG_INFINITY, |f| f.log_evidence);
+    best.sort_by(|a, b| evidence(b).total_cmp(&evidence(a)));
+    best.truncate(FITTED_FROM_AFAR);
+    scouted
+        .iter()
+        .zip(order)
+        .enumerate()
+        .map(|(k, (scouted, (e, ..)))| {
+            let start = scouted.as_ref().filter(|_| best.contains(&k))?.state.clone();
+            fit(frame, &with(*e), start, subset, FitOptions::THOROUGH).ok()
+        })
+        .collect()
 }
 
 /// Fit of the accepted effects and one more, the last of `list`.
@@ -67,24 +121,39 @@ fn candidate(
     subset: &[usize],
 ) -> Option<Fit> {
     let effect = *list.last()?;
-    let with = |state: &State, coordinates: &Vec<f64>| {
-        let mut from = state.clone();
-        from.effects.push(coordinates.clone());
-        from
-    };
     if effect.nought().is_some() && all_starts.len() == 1 {
-        return fit(frame, list, with(state, &all_starts[start]), subset, SMOOTH).ok();
+        return fit(frame, list, started(state, &all_starts[start]), subset, SMOOTH).ok();
     }
-    let few: Vec<usize> = subset.iter().copied().step_by(subset.len().div_ceil(SCOUTED).max(1)).collect();
-    let scouts: Vec<State> = states(state)
-        .iter()
-        .flat_map(|s| all_starts.iter().map(|c| with(s, c)).collect::<Vec<_>>())
-        .collect();
-    let best = scouts
-        .into_iter()
-        .filter_map(|s| fit(frame, list, s, &few, SCOUT).ok())
-        .max_by(|a, b| a.log_evidence.total_cmp(&b.log_evidence))?;
+    let nominal = crate::ballast::BallastParameters::NOMINAL.to_vector();
+    let mut states = vec![state.clone()];
+    if (state.ballast[0] - nominal[0]).abs() > FAR {
+        states.push(on_nominal_ballast(state));
+    }
+    let best = scout(frame, list, &states, all_starts, subset)?;
     fit(frame, list, best.state, subset, FitOptions::THOROUGH).ok()
+}
+
+/// A state with the parameters of one more effect.
+fn started(state: &State, coordinates: &[f64]) -> State {
+    let mut from = state.clone();
+    from.effects.push(coordinates.to_vec());
+    from
+}
+
+/// Best of short fits to a few passages, from all states and starts of the last effect of `list`.
+fn scout(
+    frame: &Frame,
+    list: &[&dyn Effect],
+    states: &[State],
+    starts: &[Vec<f64>],
+    subset: &[usize],
+) -> Option<Fit> {
+    let few: Vec<usize> = subset.iter().copied().step_by(subset.len().div_ceil(SCOUTED).max(1)).collect();
+    states
+        .iter()
+        .flat_map(|s| starts.iter().map(|c| started(s, c)))
+        .filter_map(|s| fit(frame, list, s, &few, SCOUT).ok())
+        .max_by(|a, b| a.log_evidence.total_cmp(&b.log_evidence))
 }
 
 /// Near the base model the first derivatives hold; what is accepted is fitted again.
@@ -92,18 +161,12 @@ const SMOOTH: FitOptions = FitOptions { steps: 8, renew: 3, tolerance: 0.5 };
 /// An effect that does not begin smoothly is looked for from all its starts in a few passages first.
 const SCOUT: FitOptions = FitOptions { steps: 5, renew: 5, tolerance: 3.0 };
 const SCOUTED: usize = 3;
-/// States from which the fit of an effect that does not begin smoothly starts: the base model's, which such an effect may
-/// have driven far away, and nominal ballast with the scan.
-fn states(state: &State) -> Vec<State> {
-    let nominal = crate::ballast::BallastParameters::NOMINAL;
-    let mut all = vec![state.clone()];
-    if (state.ballast[0] - nominal.p1_n_m2.ln()).abs() > FAR {
-        let mut fresh = state.clone();
-        fresh.ballast = nominal.to_vector();
-        fresh.deviation_m.fill(0.0);
-        all.push(fresh);
-    }
-    all
+/// Nominal ballast with the scan as it is: where a base model that an effect has driven far away may not lead back to.
+fn on_nominal_ballast(state: &State) -> State {
+    let mut fresh = state.clone();
+    fresh.ballast = crate::ballast::BallastParameters::NOMINAL.to_vector();
+    fresh.deviation_m.fill(0.0);
+    fresh
 }
 
 /// Outer stiffness this far from nominal (logarithm) is hardly real.

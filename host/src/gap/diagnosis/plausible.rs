@@ -81,12 +81,19 @@ fn chance(y: &[f64], x: &[f64], z: &[f64]) -> f64 {
     (as_good + 1) as f64 / (SHUFFLES + 1) as f64
 }
 
-/// Whether the last effect of a fit is larger than what the forward model's own errors can pass for.
-pub(super) fn large_enough(effect: &dyn Effect, fit: &Fit) -> bool {
+/// Sizes of an effect must be this many standard deviations away from nought.
+const CLEAR_OF_NOUGHT: f64 = 3.0;
+
+/// Whether the last effect of a fit is larger than what the forward model's own errors can pass for, and than what is
+/// uncertain of it; `inflation` is the squared misfit per value.
+pub(super) fn large_enough(effect: &dyn Effect, fit: &Fit, inflation: f64) -> bool {
     let (Some(coordinates), Some(nought)) = (fit.state.effects.last(), effect.nought()) else { return true };
-    let parameters = effect.parameters().iter().zip(coordinates.iter().zip(&nought));
-    let mut asked = parameters.filter(|(p, _)| p.least > 0.0).peekable();
-    asked.peek().is_none() || asked.any(|(p, (c, n))| (c - n).abs() >= p.least)
+    let first = fit.covariance.nrows() - coordinates.len();
+    let parameters = effect.parameters().iter().zip(coordinates.iter().zip(&nought)).enumerate();
+    parameters.take(effect.sizes()).any(|(k, (p, (c, n)))| {
+        let sd = (inflation * fit.covariance[(first + k, first + k)].max(0.0)).sqrt();
+        (c - n).abs() >= p.least.max(CLEAR_OF_NOUGHT * sd)
+    })
 }
 
 /// Whether the last effect of a fit is away from the ends of its ranges.

@@ -10,7 +10,7 @@ use crate::gap::fit::{Fit, FitOptions, State, fit, simulate};
 use crate::gap::forward::Response;
 use crate::gap::latent::{Latent, LatentFit, Scene};
 use crate::gap::measure;
-use crate::gap::select::{Tried, gain, round};
+use crate::gap::select::{Standing, Tried, gain, round};
 use crate::gap::world::SensorModel;
 use crate::progress::Progress;
 
@@ -37,6 +37,10 @@ const LATENT_INFLATION: f64 = 2.0;
 /// Evidence counts this much less than it says when it becomes a probability (calibrated on simulated trials).
 const PROBABILITY_SCALE: f64 = 4.0;
 
+/// Squared misfit per value above which the model is lost, and its derivatives with it: strong effects of training trials
+/// leave 2.4 to 7.5, sites without any 1.
+const LOST: f64 = 2.0;
+
 /// A latent effect, what it found, and the part of the displacement's residual that this explains.
 type Explored = (&'static dyn Latent, Option<LatentFit>, f64);
 
@@ -55,6 +59,8 @@ struct Candidate {
     gain: f64,
     misfit_gain: f64,
     full: bool,
+    /// Of single wheels.
+    wheel_borne: bool,
 }
 
 impl Session<'_> {
@@ -89,9 +95,10 @@ impl Session<'_> {
         let state = self.state();
         let reference =
             fit(&self.base.frame, &self.accepted, state.clone(), self.search, FitOptions::THOROUGH)?;
+        let lost = self.inflation(&reference) > LOST;
         let (mut tried, screening) = round(
             &self.base.frame,
-            (&self.accepted, &reference.state),
+            Standing { accepted: &self.accepted, state: &reference.state, lost },
             &candidates,
             &self.hints,
             self.search,
@@ -105,7 +112,10 @@ impl Session<'_> {
         for c in &mut list {
             c.gain = if self.worth_naming(c, number, misfit) { c.gain } else { c.gain.min(0.5 * LEAST_GAIN) };
         }
-        list.sort_by(|a, b| b.gain.total_cmp(&a.gain));
+        // What differs between wheels is no panel's doing, but changes their mean, which an effect of the panel can follow;
+        // a model that is lost leaves differences of its own.
+        let first = |c: &Candidate| !lost && c.wheel_borne && c.gain > LEAST_GAIN;
+        list.sort_by(|a, b| first(b).cmp(&first(a)).then(b.gain.total_cmp(&a.gain)));
         // The best that also takes something off the residual.
         for k in 0..list.len() {
             // What was taken back is no alternative any more.
@@ -144,7 +154,9 @@ impl Session<'_> {
                 // A strength at the end of its range is no strength but a fit that found no other way.
                 Some(f) => (
                     f.log_evidence - reference.log_evidence,
-                    inside_ranges(t.effect, f) && large_enough(t.effect, f) && self.borne_out(t.effect, f),
+                    inside_ranges(t.effect, f)
+                        && large_enough(t.effect, f, inflation)
+                        && self.borne_out(t.effect, f),
                 ),
                 None => (t.screened.min(LEAST_GAIN), false),
             };
@@ -155,6 +167,7 @@ impl Session<'_> {
                 gain: gain / inflation,
                 misfit_gain,
                 full,
+                wheel_borne: false,
             }
         });
         let latent = latent.iter().map(|(e, f, moved)| {
@@ -162,7 +175,14 @@ impl Session<'_> {
             let full = share > LATENT_SHARE || *moved > DISPLACEMENT_SHARE;
             let gain = f.as_ref().map_or(0.0, |f| f.gain) / LATENT_INFLATION;
             let gain = if full { gain } else { gain.min(0.5 * LEAST_GAIN) };
-            Candidate { name: e.name(), stage: e.stage(), gain, misfit_gain: f64::INFINITY, full }
+            Candidate {
+                name: e.name(),
+                stage: e.stage(),
+                gain,
+                misfit_gain: f64::INFINITY,
+                full,
+                wheel_borne: e.stage() == Stage::Vehicle,
+            }
         });
         common.chain(latent).collect()
     }

@@ -50,6 +50,10 @@ impl Effect for CrossingRail {
         Some(vec![0.0, 0.0])
     }
 
+    fn sizes(&self) -> usize {
+        2
+    }
+
     fn apply(&self, world: &mut World, values: &[f64]) {
         world.crossing.rail.crossing_part_stiffness_factor *= values[0];
         world.crossing.rail.crossing_part_mass_factor *= values[1];

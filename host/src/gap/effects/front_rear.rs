@@ -53,6 +53,10 @@ impl Effect for FrontRear {
         Some(vec![0.0, 0.0])
     }
 
+    fn sizes(&self) -> usize {
+        2
+    }
+
     fn apply(&self, world: &mut World, values: &[f64]) {
         for (axle, sign) in [(0, 0.5), (1, -0.5)] {
             world.wheels.depth[axle] *= 1.0 + sign * values[0];

@@ -52,6 +52,10 @@ impl Effect for SupportLoss {
         Some(vec![0.0, 0.0])
     }
 
+    fn sizes(&self) -> usize {
+        2
+    }
+
     fn apply(&self, world: &mut World, values: &[f64]) {
         world.bed.stiffness_factor = (3..=6).flat_map(|k| [(-k, values[0]), (k, values[1])]).collect();
     }

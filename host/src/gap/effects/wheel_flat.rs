@@ -32,7 +32,7 @@ const CROSSING_M: (f64, f64) = (0.3, 0.75);
 /// Lengths simulated, metres.
 const LENGTHS_M: [f64; 7] = [0.02, 0.03, 0.04, 0.05, 0.065, 0.08, 0.1];
 /// The linear response and the shape of the flat let the length not be known better than this, relative.
-const LENGTH_ERROR: f64 = 0.08;
+const LENGTH_ERROR: f64 = 0.18;
 
 /// What one wheelset shows for a flat of unit area at every place: b = cᵀy, g = cᵀc.
 struct Shown {

@@ -97,7 +97,12 @@ impl Latent for WheelOutOfRoundness {
             gain: net,
             parameters: vec![
                 ("order", order, order, order),
-                ("amplitude_m", amplitude, lower, upper),
+                (
+                    "amplitude_m",
+                    amplitude,
+                    lower.min((1.0 - AMPLITUDE_ERROR) * amplitude),
+                    upper.max((1.0 + AMPLITUDE_ERROR) * amplitude),
+                ),
                 ("share", share, share * 0.7, (share * 1.3).min(1.0)),
             ],
             windows,
@@ -105,6 +110,9 @@ impl Latent for WheelOutOfRoundness {
         })
     }
 }
+
+/// What the linear response leaves out: wheels that leave the rail on their waves.
+const AMPLITUDE_ERROR: f64 = 0.25;
 
 fn amplitudes() -> impl Iterator<Item = f64> {
     (0..AMPLITUDES.2).map(|i| AMPLITUDES.0 * AMPLITUDES.1.powi(i as i32))

@@ -112,10 +112,10 @@ impl Session<'_> {
         for c in &mut list {
             c.gain = if self.worth_naming(c, number, misfit) { c.gain } else { c.gain.min(0.5 * LEAST_GAIN) };
         }
-        // What differs between wheels is no panel's doing, but changes their mean, which an effect of the panel can follow;
-        // a model that is lost leaves differences of its own.
-        let first = |c: &Candidate| !lost && c.wheel_borne && c.gain > LEAST_GAIN;
-        list.sort_by(|a, b| first(b).cmp(&first(a)).then(b.gain.total_cmp(&a.gain)));
+        if !lost {
+            put_wheels_first(&mut list);
+        }
+        list.sort_by(|a, b| b.gain.total_cmp(&a.gain));
         // The best that also takes something off the residual.
         for k in 0..list.len() {
             // What was taken back is no alternative any more.
@@ -366,6 +366,20 @@ impl Session<'_> {
             above.push(inside.0 / own.max(f64::MIN_POSITIVE) - 1.0);
         }
         (crate::signal::quantile(&above, 0.5), own_sum)
+    }
+}
+
+/// What differs between wheels is no panel's doing, but changes their mean, which an effect of the panel can follow: its gain
+/// says nothing until the wheels are in the model. Front and rear wheelsets that differ are the exception.
+fn put_wheels_first(list: &mut [Candidate]) {
+    let qualifies = |c: &&Candidate| c.full && c.gain > LEAST_GAIN;
+    if list.iter().filter(qualifies).any(|c| c.name == "front-rear") {
+        return;
+    }
+    let wheels = list.iter().filter(qualifies).filter(|c| c.wheel_borne).map(|c| c.gain);
+    let Some(best) = wheels.max_by(f64::total_cmp) else { return };
+    for c in list.iter_mut().filter(|c| !c.wheel_borne) {
+        c.gain = c.gain.min(best - 2.0 * SAME_GAIN);
     }
 }
 

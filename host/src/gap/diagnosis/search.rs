@@ -52,6 +52,17 @@ struct Confirmed {
     fit: Option<Fit>,
 }
 
+/// What an effect acts on.
+#[derive(Clone, Copy, PartialEq)]
+enum ActsOn {
+    /// All passages alike.
+    Panel,
+    /// Single wheels.
+    Wheels,
+    /// Single recordings.
+    Recordings,
+}
+
 /// One candidate of a round.
 struct Candidate {
     name: &'static str,
@@ -59,8 +70,7 @@ struct Candidate {
     gain: f64,
     misfit_gain: f64,
     full: bool,
-    /// Of single wheels.
-    wheel_borne: bool,
+    acts_on: ActsOn,
 }
 
 impl Session<'_> {
@@ -167,7 +177,7 @@ impl Session<'_> {
                 gain: gain / inflation,
                 misfit_gain,
                 full,
-                wheel_borne: false,
+                acts_on: ActsOn::Panel,
             }
         });
         let latent = latent.iter().map(|(e, f, moved)| {
@@ -181,7 +191,7 @@ impl Session<'_> {
                 gain,
                 misfit_gain: f64::INFINITY,
                 full,
-                wheel_borne: e.stage() == Stage::Vehicle,
+                acts_on: if e.stage() == Stage::Vehicle { ActsOn::Wheels } else { ActsOn::Recordings },
             }
         });
         common.chain(latent).collect()
@@ -376,9 +386,9 @@ fn put_wheels_first(list: &mut [Candidate]) {
     if list.iter().filter(qualifies).any(|c| c.name == "front-rear") {
         return;
     }
-    let wheels = list.iter().filter(qualifies).filter(|c| c.wheel_borne).map(|c| c.gain);
+    let wheels = list.iter().filter(qualifies).filter(|c| c.acts_on == ActsOn::Wheels).map(|c| c.gain);
     let Some(best) = wheels.max_by(f64::total_cmp) else { return };
-    for c in list.iter_mut().filter(|c| !c.wheel_borne) {
+    for c in list.iter_mut().filter(|c| c.acts_on == ActsOn::Panel) {
         c.gain = c.gain.min(best - 2.0 * SAME_GAIN);
     }
 }

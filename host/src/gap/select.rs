@@ -93,7 +93,7 @@ fn fits_from_afar<'e>(
         .map(|(e, ..)| {
             let list = with(*e);
             let starts = list.last()?.starts(hints);
-            scout(frame, &list, state, true, &starts, subset)
+            scout(frame, &list, &[state.clone(), on_nominal_ballast(state)], &starts, subset)
         })
         .collect();
     let mut best: Vec<usize> = (0..order.len()).filter(|k| scouted[*k].is_some()).collect();
@@ -125,8 +125,11 @@ fn candidate(
         return fit(frame, list, started(state, &all_starts[start]), subset, SMOOTH).ok();
     }
     let nominal = crate::ballast::BallastParameters::NOMINAL.to_vector();
-    let far = (state.ballast[0] - nominal[0]).abs() > FAR;
-    let best = scout(frame, list, state, far, all_starts, subset)?;
+    let mut states = vec![state.clone()];
+    if (state.ballast[0] - nominal[0]).abs() > FAR {
+        states.push(on_nominal_ballast(state));
+    }
+    let best = scout(frame, list, &states, all_starts, subset)?;
     fit(frame, list, best.state, subset, FitOptions::THOROUGH).ok()
 }
 
@@ -137,22 +140,19 @@ fn started(state: &State, coordinates: &[f64]) -> State {
     from
 }
 
-/// Best of fits to a few passages: from a state with all starts of the last effect of `list`, and, where that state may be
-/// `lost`, from nominal ballast with the larger half of them.
+/// Best of short fits to a few passages, from all states and starts of the last effect of `list`.
 fn scout(
     frame: &Frame,
     list: &[&dyn Effect],
-    state: &State,
-    lost: bool,
+    states: &[State],
     starts: &[Vec<f64>],
     subset: &[usize],
 ) -> Option<Fit> {
     let few: Vec<usize> = subset.iter().copied().step_by(subset.len().div_ceil(SCOUTED).max(1)).collect();
-    let near = starts.iter().map(|c| (started(state, c), SCOUT));
-    let fresh = on_nominal_ballast(state);
-    let afar = starts[starts.len() / 2..].iter().map(|c| (started(&fresh, c), FAR_SCOUT));
-    near.chain(afar.filter(|_| lost))
-        .filter_map(|(s, options)| fit(frame, list, s, &few, options).ok())
+    states
+        .iter()
+        .flat_map(|s| starts.iter().map(|c| started(s, c)))
+        .filter_map(|s| fit(frame, list, s, &few, SCOUT).ok())
         .max_by(|a, b| a.log_evidence.total_cmp(&b.log_evidence))
 }
 
@@ -161,10 +161,6 @@ const SMOOTH: FitOptions = FitOptions { steps: 8, renew: 3, tolerance: 0.5 };
 /// An effect that does not begin smoothly is looked for from all its starts in a few passages first.
 const SCOUT: FitOptions = FitOptions { steps: 5, renew: 5, tolerance: 3.0 };
 const SCOUTED: usize = 3;
-/// From nominal ballast the way is longer: of a void of 4.5 mm, the start at 3 mm is the one that gets there, and is far
-/// behind after five steps.
-const FAR_SCOUT: FitOptions = FitOptions { steps: 15, renew: 14, tolerance: 3.0 };
-
 /// Nominal ballast with the scan as it is: where a base model that an effect has driven far away may not lead back to.
 fn on_nominal_ballast(state: &State) -> State {
     let mut fresh = state.clone();

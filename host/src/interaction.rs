@@ -182,7 +182,7 @@ impl Motion<'_> {
         contacts(|axle, rail| &force_n[axle][rail] + &change[axle][rail])
     }
 
-    /// Variation of the deflection under the constant load along the positions: [`Interaction::load_deflection_m`].
+    /// Variation of the deflection under the constant load along the positions, metres; one column.
     pub fn load_deflection_m(&self) -> Contacts {
         self.interaction.load_deflection_m(&self.rails, self.position_m, self.direction, self.static_force_n)
     }

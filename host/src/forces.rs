@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use crate::identify::IdentifiedSite;
 use crate::inverse::hierarchy::{GroupKind, kinds};
 use crate::inverse::{
-    Estimator, Excitation, GroupGeometry, InverseError, Running, TrackModel, expected_window,
+    Estimator, Excitation, GroupGeometry, InverseError, Running, TrackModel,
 };
 use crate::irregularity::on_grid;
 use crate::signal::mean;
@@ -160,12 +160,12 @@ fn ballast_sensitivity(
     position_m: &[f64],
 ) -> Result<Vec<Mat<f64>>, InverseError> {
     let prior = site.prior.with_common_as_own();
-    let estimator = Estimator::new(&model(site), geometry, &prior, &site.profile)?;
+    let moved = site.nearby_greens.each_ref().map(|(greens, _)| TrackModel { greens, excitation: Excitation::Force });
+    let (estimator, expected) =
+        Estimator::with_moved(&model(site), &moved, geometry, &prior, &site.profile)?;
     let mut columns: Mat<f64> = Mat::zeros(estimator.len(), 3);
-    for (k, (greens, step)) in site.nearby_greens.iter().enumerate() {
-        let moved = TrackModel { greens, excitation: Excitation::Force };
-        let expected = expected_window(&moved, geometry, &prior, &site.profile);
-        for (i, value) in expected.iter().enumerate() {
+    for (k, (window, (_, step))) in expected.iter().zip(&site.nearby_greens).enumerate() {
+        for (i, value) in window.iter().enumerate() {
             columns[(i, k)] = (value - estimator.expected_m_s2[i]) / step;
         }
     }

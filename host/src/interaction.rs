@@ -205,19 +205,17 @@ impl Interaction {
         let coming =
             Mat::from_fn(n, 1, |i, _| if i < n / 2 { 1.0 - taper(from_end(i), 0.0, RAMP_M) } else { 1.0 });
         let moving_load = [0, 1].map(|read: usize| &rails[read][0] * &coming + &rails[read][1] * &coming);
-        [0, 1].map(|axle: usize| {
+        contacts(|axle, rail| {
             // The companion of the leading wheel is behind it: at smaller x in facing direction.
             let companion_ahead_in_x = (axle == 1) == (direction > 0.0);
-            [0, 1].map(|rail: usize| {
-                let spline = &self.companion[rail][usize::from(companion_ahead_in_x)];
-                let value: Vec<f64> = (0..n)
-                    .map(|i| static_force_n * (moving_load[rail][(i, 0)] + spline.at(position_m[i])))
-                    .collect();
-                let ends: Vec<f64> =
-                    (0..n).filter(|i| (RAMP_M..END_M).contains(&from_end(*i))).map(|i| value[i]).collect();
-                let level = crate::signal::mean(&ends);
-                Mat::from_fn(n, 1, |i, _| (value[i] - level) * (1.0 - taper(from_end(i), RAMP_M, END_M)))
-            })
+            let spline = &self.companion[rail][usize::from(companion_ahead_in_x)];
+            let value: Vec<f64> = (0..n)
+                .map(|i| static_force_n * (moving_load[rail][(i, 0)] + spline.at(position_m[i])))
+                .collect();
+            let ends: Vec<f64> =
+                (0..n).filter(|i| (RAMP_M..END_M).contains(&from_end(*i))).map(|i| value[i]).collect();
+            let level = crate::signal::mean(&ends);
+            Mat::from_fn(n, 1, |i, _| (value[i] - level) * (1.0 - taper(from_end(i), RAMP_M, END_M)))
         })
     }
 }

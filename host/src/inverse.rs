@@ -13,7 +13,7 @@ mod prior;
 mod profile;
 mod wheel;
 
-pub use estimator::{Estimator, GroupGeometry, InverseError, expected_window};
+pub use estimator::{Estimator, GroupGeometry, InverseError};
 pub use prior::{Prior, Spread};
 pub use profile::{CommonProfile, PositionGrid, ProfileGrids, WheelClass};
 pub use wheel::{Excitation, Running, TrackModel};

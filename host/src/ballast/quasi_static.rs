@@ -312,7 +312,7 @@ fn prepare(
 
 /// The optimiser works on (ln p1, ln p2, p3), which keeps the stiffnesses positive.
 fn to_scaled(p: &BallastParameters) -> Vector3<f64> {
-    Vector3::new(p.p1_n_m2.ln(), p.p2_n_m2.ln(), p.p3)
+    Vector3::from(p.to_vector())
 }
 
 fn from_scaled(z: &Vector3<f64>) -> BallastParameters {

@@ -7,8 +7,8 @@ use faer::{Accum, Mat, MatRef, Par};
 
 use super::Prior;
 use super::profile::{CommonProfile, WheelClass};
-use super::wheel::{Basis, Means, Running, SIDES, TrackModel, Wheel, mean_deviations_n};
-use crate::greens::moving::{PassingResponse, own_clock_kernel, own_positions};
+use super::wheel::{Basis, Means, Running, SIDES, TrackModel, Wheel};
+use crate::greens::moving::{PassingResponse, own_clock_kernel};
 use crate::track::Side;
 
 /// Time after the last wheel has left the reach during which its response is still used, seconds.
@@ -69,8 +69,6 @@ struct AxleModel {
     shaped: Mat<f64>,
     /// Window of the wheel's static force.
     static_m_s2: Vec<f64>,
-    /// Mean deviation at each force sample of the crossing side, newtons.
-    mean_n: Vec<f64>,
 }
 
 /// Linear map from a window to the force of one axle on a grid: force = base + gain · (window − expected).
@@ -125,12 +123,12 @@ impl Estimator {
         let window = Window::of(geometry, prior, rate_hz);
         let len = window.len;
         let bad = || InverseError::Covariance { len, noise_m_s2: prior.noise_m_s2 };
-        let wheel = Wheel::new(model, moved, &running, prior, common).ok_or_else(bad)?;
+        let (wheel, moved_n) = Wheel::new(model, moved, &running, prior, common).ok_or_else(bad)?;
         let clock = (wheel.first_sample, wheel.position_m.as_slice());
         let expectation = Expectation::new(model, &running, window, clock, &wheel.mean_n);
         let moved_m_s2 = moved
             .iter()
-            .zip(&wheel.moved_n)
+            .zip(&moved_n)
             .map(|(m, mean_n)| {
                 Expectation::new(m, &running, window, clock, mean_n).window(geometry, common, rate_hz)
             })
@@ -145,12 +143,7 @@ impl Estimator {
                 add_axle(model, &wheel, common, class, time_s, &mut covariance, &mut profile_response);
             let static_m_s2 = expectation.standing.window(&[time_s], len);
             add_outer(&mut covariance, &static_m_s2, prior.load_sd.powi(2));
-            axles.push(AxleModel {
-                class,
-                shaped,
-                static_m_s2,
-                mean_n: wheel.mean_n[usize::from(!class.leading)][0].clone(),
-            });
+            axles.push(AxleModel { class, shaped, static_m_s2 });
         }
         let factor = covariance.llt(faer::Side::Lower).map_err(|_| bad())?;
         let l = factor.L();
@@ -226,7 +219,7 @@ impl Estimator {
             .map(|axle| {
                 let root = &self.wheel.root_n[usize::from(!axle.class.leading)][0];
                 let mut deviation = root * (axle.shaped.transpose() * &solved);
-                for (i, mean) in axle.mean_n.iter().enumerate() {
+                for (i, mean) in self.wheel.mean_n[usize::from(!axle.class.leading)][0].iter().enumerate() {
                     deviation[(i, 0)] += mean;
                 }
                 let load: f64 = (0..n).map(|k| axle.static_m_s2[k] * solved[(k, 0)]).sum();
@@ -244,7 +237,8 @@ impl Estimator {
     }
 
     fn axle_gain(&self, axle: &AxleModel, low_pass: &Mat<f64>, common: &CommonProfile) -> AxleGain {
-        let (m, n, g) = (axle.mean_n.len(), self.len(), low_pass.nrows());
+        let mean_n = &self.wheel.mean_n[usize::from(!axle.class.leading)][0];
+        let (m, n, g) = (mean_n.len(), self.len(), low_pass.nrows());
         let whitened = low_pass * &self.wheel.root_n[usize::from(!axle.class.leading)][0];
         let load_variance = self.prior.load_sd.powi(2);
         let static_force_n = self.running.static_force_n;
@@ -253,7 +247,7 @@ impl Estimator {
         matmul(&mut cross, Accum::Add, &whitened, axle.shaped.transpose(), 1.0, Par::Seq);
         let gain = self.factor.solve(cross.transpose()).transpose().to_owned();
         let base_n = (0..g)
-            .map(|i| static_force_n + (0..m).map(|j| low_pass[(i, j)] * axle.mean_n[j]).sum::<f64>())
+            .map(|i| static_force_n + (0..m).map(|j| low_pass[(i, j)] * mean_n[j]).sum::<f64>())
             .collect();
         let sd_n = (0..g)
             .map(|i| {
@@ -368,21 +362,6 @@ impl Expectation {
         }
         sum
     }
-}
-
-/// Window of a group under the mean forces alone, m/s²: what [`Estimator::expected_m_s2`] holds, without the estimator.
-pub fn expected_window(
-    model: &TrackModel,
-    geometry: &GroupGeometry,
-    prior: &Prior,
-    common: &CommonProfile,
-) -> Vec<f64> {
-    let rate_hz = model.greens.sampling.rate_hz;
-    let running = &geometry.running;
-    let (first, position_m) = own_positions(running.direction, running.speed_m_s, prior.half_m, rate_hz);
-    let mean_n = mean_deviations_n(model, running, common, &position_m);
-    let window = Window::of(geometry, prior, rate_hz);
-    Expectation::new(model, running, window, (first, &position_m), &mean_n).window(geometry, common, rate_hz)
 }
 
 /// Adds an axle's share to the covariance of the window and to its response to the common profile; returns the

@@ -48,8 +48,6 @@ pub(super) struct Wheel {
     pub(super) basis: Basis,
     /// Mean deviations under the common profile, newtons.
     pub(super) mean_n: Means,
-    /// The same under each of the moved tracks.
-    pub(super) moved_n: Vec<Means>,
 }
 
 /// Force deviations at a wheel's own samples, newtons: `[leading, trailing][crossing, stock]`.
@@ -66,20 +64,21 @@ pub(super) enum Basis {
 pub(super) const SIDES: [Side; 2] = [Side::Crossing, Side::Stock];
 
 impl Wheel {
-    /// With the tracks of `moved` close to that of `model`. `None` if a covariance is not finite.
+    /// With its mean deviations under each of the tracks of `moved`, which are close to that of `model`. `None` if a covariance
+    /// is not finite.
     pub(super) fn new(
         model: &TrackModel,
         moved: &[TrackModel],
         running: &Running,
         prior: &Prior,
         common: &CommonProfile,
-    ) -> Option<Self> {
+    ) -> Option<(Self, Vec<Means>)> {
         let rate = model.greens.sampling.rate_hz;
         let (first_sample, position_m) =
             own_positions(running.direction, running.speed_m_s, prior.half_m, rate);
         let profile = common.values_at(&position_m, running.speed_m_s);
         let splines = SIDES.map(|s| common.grids.grid(s).basis(&position_m));
-        match model.excitation {
+        let (root_n, basis, mean_n, moved_n) = match model.excitation {
             Excitation::Force => {
                 let step = 1.0 / (rate * prior.correlation_s);
                 let root = |side: Side| {
@@ -87,11 +86,9 @@ impl Wheel {
                     prior.covariance_factor(&position_m, &sd_n, step)
                 };
                 let roots = [root(Side::Crossing)?, root(Side::Stock)?];
-                let root_n = [roots.clone(), roots];
-                let basis = Basis::Splines(splines);
                 let mean_n = columns(&profile);
                 let moved_n = vec![mean_n.clone(); moved.len()];
-                Some(Self { first_sample, position_m, root_n, basis, mean_n, moved_n })
+                ([roots.clone(), roots], Basis::Splines(splines), mean_n, moved_n)
             }
             Excitation::Irregularity(interaction) => {
                 let motion = running.on(interaction, &position_m);
@@ -107,33 +104,16 @@ impl Wheel {
                         Excitation::Force => columns(&profile),
                     })
                     .collect();
-                let mean_n = columns(&mean);
-                Some(Self { first_sample, position_m, root_n, basis, mean_n, moved_n })
+                (root_n, basis, columns(&mean), moved_n)
             }
-        }
+        };
+        Some((Self { first_sample, position_m, root_n, basis, mean_n }, moved_n))
     }
 }
 
 impl Running {
     fn on<'a>(&self, interaction: &'a Interaction, position_m: &'a [f64]) -> Motion<'a> {
         interaction.moving(position_m, self.direction, self.speed_m_s, self.static_force_n)
-    }
-}
-
-/// Mean force deviations under the common profile at a wheel's own samples, newtons:
-/// `[leading, trailing][crossing, stock]`.
-pub(super) fn mean_deviations_n(
-    model: &TrackModel,
-    running: &Running,
-    common: &CommonProfile,
-    position_m: &[f64],
-) -> Means {
-    let profile = common.values_at(position_m, running.speed_m_s);
-    match model.excitation {
-        Excitation::Force => columns(&profile),
-        Excitation::Irregularity(interaction) => {
-            columns(&mean_of(&running.on(interaction, position_m), &profile))
-        }
     }
 }
 

@@ -11,6 +11,7 @@ use std::path::Path;
 use cpcm::bench::child::measure;
 use cpcm::gap::diagnosis::{DiagnoseOptions, diagnose};
 use cpcm::gap::results::diagnosis_json;
+use cpcm::gap::trial::main_parameter;
 use cpcm::progress::Silent;
 use cpcm::recording::read_site;
 use serde_json::Value;
@@ -105,20 +106,20 @@ impl Truth {
         let Some(name) = self.effect.as_deref().filter(|e| Some(*e) == first["name"].as_str()) else {
             return "-".into();
         };
-        // Name of the truth, factor to SI units, name in the catalogue.
-        let (own, scale, parameter) = match name {
-            "clock-error" => ("percent", 0.01, "relative"),
-            "gain-temperature" => ("percent_per_k", 0.01, "per_kelvin"),
-            "load-transfer" => ("fraction", 1.0, "fraction"),
-            "pad-stiffness" => ("k_factor", 1.0, "factor"),
-            "saturation" => ("range_g", 9.81, "range_m_s2"),
-            "voided-sleepers" => ("gap_mm", 1e-3, "gap_m"),
-            "wheel-out-of-roundness" => ("amp_mm", 1e-3, "amplitude_m"),
+        // Name of the truth, factor to SI units.
+        let (own, scale) = match name {
+            "clock-error" => ("percent", 0.01),
+            "gain-temperature" => ("percent_per_k", 0.01),
+            "load-transfer" => ("fraction", 1.0),
+            "pad-stiffness" => ("k_factor", 1.0),
+            "saturation" => ("range_g", 9.81),
+            "voided-sleepers" => ("gap_mm", 1e-3),
+            "wheel-out-of-roundness" => ("amp_mm", 1e-3),
             _ => return "-".into(),
         };
         let number = |v: &toml::Value| v.as_float().or(v.as_integer().map(|i| i as f64));
         let truth = self.values.get(own).and_then(number).map_or(f64::NAN, |v| v * scale);
-        let p = &first["parameters"][parameter];
+        let p = &first["parameters"][main_parameter(name)];
         let at = |key: &str| p[key].as_f64().unwrap_or(f64::NAN);
         let (lower, upper) = (at("lower"), at("upper"));
         let mark = if lower <= truth && truth <= upper { "" } else { " NO" };

@@ -5,9 +5,7 @@ use rayon::prelude::*;
 
 use crate::identify::IdentifiedSite;
 use crate::inverse::hierarchy::{GroupKind, kinds};
-use crate::inverse::{
-    Estimator, Excitation, GroupGeometry, InverseError, Running, TrackModel,
-};
+use crate::inverse::{Estimator, Excitation, GroupGeometry, InverseError, Running, TrackModel};
 use crate::irregularity::on_grid;
 use crate::signal::mean;
 
@@ -160,9 +158,9 @@ fn ballast_sensitivity(
     position_m: &[f64],
 ) -> Result<Vec<Mat<f64>>, InverseError> {
     let prior = site.prior.with_common_as_own();
-    let moved = site.nearby_greens.each_ref().map(|(greens, _)| TrackModel { greens, excitation: Excitation::Force });
-    let (estimator, expected) =
-        Estimator::with_moved(&model(site), &moved, geometry, &prior, &site.profile)?;
+    let moved =
+        site.nearby_greens.each_ref().map(|(greens, _)| TrackModel { greens, excitation: Excitation::Force });
+    let (estimator, expected) = Estimator::with_moved(&model(site), &moved, geometry, &prior, &site.profile)?;
     let mut columns: Mat<f64> = Mat::zeros(estimator.len(), 3);
     for (k, (window, (_, step))) in expected.iter().zip(&site.nearby_greens).enumerate() {
         for (i, value) in window.iter().enumerate() {

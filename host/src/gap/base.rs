@@ -7,7 +7,7 @@ use super::GapError;
 use super::comb::{SPEEDS_M_S, comb};
 use super::data::{Observed, RATE_HZ, window_m};
 use super::effect::Effect;
-use super::fit::{Fit, FitOptions, Frame, State, fit};
+use super::fit::{Fit, FitOptions, Frame, State, fit, settled};
 use super::linear::{BogieResponses, Linear};
 use super::splines::{PathSplines, matern};
 use super::variation::{Shapes, Variation, estimate, scatter};
@@ -236,7 +236,7 @@ pub fn base(
     let second = fit(&frame, &[], state, search, options)?;
     let variation = variation_of(&frame, &shapes, &[], &second.state, search)?;
     frame.factors = self::factors(&frame.observed, &shapes, &variation)?;
-    let fit = fit(&frame, &[], second.state, subset, FitOptions::THOROUGH)?;
+    let fit = settled(&frame, &[], second.state, subset)?;
     Ok(Base { frame, fit, variation, shapes, window_m: window })
 }
 

@@ -127,7 +127,7 @@ const PATH_PRIOR: PathPrior = PathPrior { inside_m: 10e-6, outside_m: 20e-6, sto
 const SEARCH_PASSAGES: usize = 12;
 
 /// Squared misfit per value of the model that clips too, above which no further effect is looked for.
-const CLIPPED_MISFIT: f64 = 4.0;
+const CLIPPED_MISFIT: f64 = 1.5;
 
 /// Diagnoses a site.
 pub fn diagnose(
@@ -153,7 +153,7 @@ pub fn diagnose(
     if let Some(range_m_s2) = clips {
         session.saturated(range_m_s2);
         // What clipping has destroyed cannot be searched.
-        if session.inflation(&session.base.fit) > CLIPPED_MISFIT {
+        if session.base.fit.inflation() > CLIPPED_MISFIT {
             session.remarks.push(
                 "the recordings clip so much that nothing else can be told from them; use a sensor with a larger range".into(),
             );
@@ -262,15 +262,6 @@ impl<'a> Session<'a> {
 
     fn state(&self) -> State {
         self.fit.as_ref().map_or_else(|| self.base.fit.state.clone(), |f| f.state.clone())
-    }
-
-    /// Squared misfit per value, at least 1: how far the model is from explaining the mean windows.
-    fn inflation(&self, fit: &Fit) -> f64 {
-        let (sum, n) = fit.passages.iter().fold((0.0, 0.0), |(s, n), p| {
-            let r = p.residual.col_as_slice(0);
-            (s + r.iter().map(|v| v * v).sum::<f64>(), n + r.len() as f64)
-        });
-        (sum / n).max(1.0)
     }
 }
 

@@ -45,6 +45,8 @@ pub struct Parameter {
     /// Least distance of the coordinate from where there is no effect: the forward model's own errors (mesh, step, damping)
     /// can pass for less. Nought where they cannot.
     pub least: f64,
+    /// Error that the forward model's simplifications make: of the coordinate, relative to it where it is linear and above 1.
+    pub model_error: f64,
     /// Not of interest by itself: it only lets the effect take its form.
     pub nuisance: bool,
 }
@@ -60,12 +62,39 @@ impl Parameter {
     }
 }
 
+/// What an effect acts on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ActsOn {
+    /// All passages alike.
+    Panel,
+    /// Single wheels.
+    Wheels,
+    /// Single recordings.
+    Recordings,
+}
+
+/// What is recorded beside the acceleration and must bear an effect out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Witness {
+    /// Nothing.
+    None,
+    /// Speeds stated by the operator see the first parameter: a relative error of the clock.
+    OperatorSpeeds,
+    /// Temperatures go with the size of the signal.
+    Temperatures,
+}
+
 /// What the recordings say directly, to start a search well.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Hints {
     /// Largest |acceleration| in any recording, m/s².
     pub largest_m_s2: f64,
 }
+
+/// Error of most coordinates.
+pub const MODEL_ERROR: f64 = 0.06;
+/// Distance of a far start from nought, prior standard deviations.
+const FAR_START: f64 = 1.5;
 
 /// An effect that the forward simulation can show: a small change of the world.
 pub trait Effect: Sync + Send {
@@ -77,6 +106,21 @@ pub trait Effect: Sync + Send {
     fn parameters(&self) -> &'static [Parameter];
     /// Coordinates from which the search starts.
     fn starts(&self, hints: &Hints) -> Vec<Vec<f64>>;
+    /// Coordinates from which it is looked for where the base model has gone far astray: also on both sides of nought.
+    fn far_starts(&self, hints: &Hints) -> Vec<Vec<f64>> {
+        let mut starts = self.starts(hints);
+        let Some(nought) = self.nought() else { return starts };
+        for (k, p) in self.parameters().iter().enumerate().take(self.sizes()) {
+            for sign in [-1.0, 1.0] {
+                let mut far = nought.clone();
+                far[k] = (far[k] + sign * FAR_START * p.prior.1).clamp(p.range[0], p.range[1]);
+                if !starts.contains(&far) {
+                    starts.push(far);
+                }
+            }
+        }
+        starts
+    }
     /// Coordinates at which there is no effect, where the path from there is smooth.
     fn nought(&self) -> Option<Vec<f64>> {
         None
@@ -84,6 +128,10 @@ pub trait Effect: Sync + Send {
     /// How many of its parameters, from the first on, are sizes: nought where there is no effect.
     fn sizes(&self) -> usize {
         1
+    }
+    /// What must bear it out.
+    fn witness(&self) -> Witness {
+        Witness::None
     }
     /// Whether its parameters change the motion; a gain does not.
     fn simulated(&self) -> bool {

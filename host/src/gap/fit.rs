@@ -7,9 +7,11 @@
 
 mod priors;
 mod screening;
+mod settled;
 
-pub use priors::{OPERATOR_SD, operator_ratios};
+pub use priors::{OPERATOR_SD, operator_ratios, path_strain};
 pub use screening::{Direction, Screening, screen};
+pub use settled::settled;
 
 use faer::linalg::solvers::{Llt, Solve as _};
 use faer::{Mat, MatRef};
@@ -65,6 +67,26 @@ pub struct Fit {
     /// Whitened residuals and columns of every passage used, for leave-one-out prediction and identifiability.
     pub passages: Vec<Whitened>,
 }
+
+impl Fit {
+    /// Squared misfit per value, at least 1: how far the model is from explaining the mean windows.
+    pub fn inflation(&self) -> f64 {
+        let (sum, n) = self.passages.iter().fold((0.0, 0.0), |(s, n), p| {
+            let r = p.residual.col_as_slice(0);
+            (s + r.iter().map(|v| v * v).sum::<f64>(), n + r.len() as f64)
+        });
+        (sum / n).max(1.0)
+    }
+
+    /// Whether the model is so far off that its derivatives say little of what would mend it.
+    pub fn lost(&self) -> bool {
+        self.inflation() > LOST
+    }
+}
+
+/// Squared misfit per value above which the model is lost, and its derivatives with it: strong effects of training trials
+/// leave 2.4 to 7.5, sites without any 1.
+const LOST: f64 = 2.0;
 
 /// One passage, whitened: columns for the ballast, the common shift, the effects; path columns apart.
 #[derive(Clone)]

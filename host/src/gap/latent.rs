@@ -5,7 +5,7 @@ use faer::Mat;
 use rayon::prelude::*;
 
 use super::data::{Observed, RATE_HZ};
-use super::effect::Stage;
+use super::effect::{ActsOn, Stage};
 use super::fit::whitened;
 use super::forward::Response;
 use super::linear::BogieResponses;
@@ -70,6 +70,10 @@ pub trait Latent: Sync + Send {
     fn name(&self) -> &'static str;
     /// Place in the chain.
     fn stage(&self) -> Stage;
+    /// What it acts on.
+    fn acts_on(&self) -> ActsOn {
+        if self.stage() == Stage::Vehicle { ActsOn::Wheels } else { ActsOn::Recordings }
+    }
     /// Looks for the effect; `None` when there is no trace of it.
     fn explore(&self, scene: &Scene) -> Option<LatentFit>;
 }

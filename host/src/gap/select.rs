@@ -5,6 +5,7 @@ use super::effect::{Effect, Hints};
 use super::fit::{Fit, FitOptions, Frame, Screening, State, fit, screen};
 use faer::Mat;
 use faer::linalg::solvers::Solve as _;
+use rayon::prelude::*;
 
 /// One effect tried on top of the accepted ones.
 pub struct Tried<'e> {
@@ -32,8 +33,9 @@ pub struct Standing<'a, 'e> {
     pub accepted: &'a [&'e dyn Effect],
     /// Fit with them.
     pub state: &'a State,
-    /// The model is so far off that its derivatives say little of what would mend it.
-    pub lost: bool,
+    /// States from which every candidate is scouted, where the model is so far off that its derivatives say little of what
+    /// would mend it; none where they do.
+    pub from_afar: &'a [State],
 }
 
 /// Screens and fits candidates on top of what is accepted.
@@ -44,7 +46,7 @@ pub fn round<'e>(
     hints: &Hints,
     subset: &[usize],
 ) -> Result<(Vec<Tried<'e>>, Screening), GapError> {
-    let Standing { accepted, state, lost } = standing;
+    let Standing { accepted, state, from_afar } = standing;
     let screening = screen(frame, (accepted, state), candidates, hints, subset)?;
     let mut order: Vec<(usize, f64, usize)> = (0..candidates.len())
         .map(|e| {
@@ -55,9 +57,7 @@ pub fn round<'e>(
     order.sort_by(|a, b| b.1.total_cmp(&a.1));
     let with =
         |e: usize| -> Vec<&'e dyn Effect> { accepted.iter().copied().chain([candidates[e]]).collect() };
-    let fits = if lost {
-        fits_from_afar(frame, state, &order, &with, hints, subset)
-    } else {
+    let fits = if from_afar.is_empty() {
         let largest = order.first().map_or(0.0, |o| o.1);
         let most = if accepted.is_empty() { FITTED.0 } else { FITTED.1 };
         order
@@ -69,6 +69,8 @@ pub fn round<'e>(
                 passes.then(|| candidate(frame, &with(*e), state, &starts, *start, subset)).flatten()
             })
             .collect()
+    } else {
+        fits_from_afar(frame, from_afar, &order, &with, hints, subset)
     };
     let tried = order
         .into_iter()
@@ -78,22 +80,22 @@ pub fn round<'e>(
     Ok((tried, screening))
 }
 
-/// Fits in the order of `order`: every candidate is scouted from all its starts, near the model and on nominal ballast, and
-/// the most promising are fitted.
+/// Fits in the order of `order`: every candidate is scouted from all its starts and all states, and the most promising are
+/// fitted.
 fn fits_from_afar<'e>(
     frame: &Frame,
-    state: &State,
+    states: &[State],
     order: &[(usize, f64, usize)],
-    with: &dyn Fn(usize) -> Vec<&'e dyn Effect>,
+    with: &(dyn Fn(usize) -> Vec<&'e dyn Effect> + Sync),
     hints: &Hints,
     subset: &[usize],
 ) -> Vec<Option<Fit>> {
     let scouted: Vec<Option<Fit>> = order
-        .iter()
+        .par_iter()
         .map(|(e, ..)| {
             let list = with(*e);
-            let starts = list.last()?.starts(hints);
-            scout(frame, &list, &[state.clone(), on_nominal_ballast(state)], &starts, subset)
+            let starts = list.last()?.far_starts(hints);
+            scout(frame, &list, states, &starts, subset)
         })
         .collect();
     let mut best: Vec<usize> = (0..order.len()).filter(|k| scouted[*k].is_some()).collect();
@@ -101,7 +103,7 @@ fn fits_from_afar<'e>(
     best.sort_by(|a, b| evidence(b).total_cmp(&evidence(a)));
     best.truncate(FITTED_FROM_AFAR);
     scouted
-        .iter()
+        .par_iter()
         .zip(order)
         .enumerate()
         .map(|(k, (scouted, (e, ..)))| {
@@ -127,7 +129,7 @@ fn candidate(
     let nominal = crate::ballast::BallastParameters::NOMINAL.to_vector();
     let mut states = vec![state.clone()];
     if (state.ballast[0] - nominal[0]).abs() > FAR {
-        states.push(on_nominal_ballast(state));
+        states.push(state.on_nominal_ballast());
     }
     let best = scout(frame, list, &states, all_starts, subset)?;
     fit(frame, list, best.state, subset, FitOptions::THOROUGH).ok()
@@ -149,9 +151,8 @@ fn scout(
     subset: &[usize],
 ) -> Option<Fit> {
     let few: Vec<usize> = subset.iter().copied().step_by(subset.len().div_ceil(SCOUTED).max(1)).collect();
-    states
-        .iter()
-        .flat_map(|s| starts.iter().map(|c| started(s, c)))
+    let all: Vec<State> = states.iter().flat_map(|s| starts.iter().map(|c| started(s, c))).collect();
+    all.into_par_iter()
         .filter_map(|s| fit(frame, list, s, &few, SCOUT).ok())
         .max_by(|a, b| a.log_evidence.total_cmp(&b.log_evidence))
 }
@@ -161,13 +162,6 @@ const SMOOTH: FitOptions = FitOptions { steps: 8, renew: 3, tolerance: 0.5 };
 /// An effect that does not begin smoothly is looked for from all its starts in a few passages first.
 const SCOUT: FitOptions = FitOptions { steps: 5, renew: 5, tolerance: 3.0 };
 const SCOUTED: usize = 3;
-/// Nominal ballast with the scan as it is: where a base model that an effect has driven far away may not lead back to.
-fn on_nominal_ballast(state: &State) -> State {
-    let mut fresh = state.clone();
-    fresh.ballast = crate::ballast::BallastParameters::NOMINAL.to_vector();
-    fresh.deviation_m.fill(0.0);
-    fresh
-}
 
 /// Outer stiffness this far from nominal (logarithm) is hardly real.
 const FAR: f64 = 0.7;

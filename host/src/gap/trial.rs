@@ -98,12 +98,12 @@ const DRAWN: [&str; 20] = [
 /// Draws and simulates trial `index` of `seed`; `work` holds a file while the nominal site is read.
 pub fn draw(seed: u64, index: u64, work: &Path) -> Result<Trial, TrialError> {
     let drawn = drawn(seed, index, work)?;
-    let Drawn { question, mut names, mut scenario, mut random } = drawn;
+    let Drawn { question, names, mut scenario, mut random } = drawn;
     // A few passages tell how strong an effect is.
     let mut few = scenario.clone();
     few.simulation.passages = STRENGTH_PASSAGES;
     let plain = if names.is_empty() { None } else { Some(simulate(&few, &Silent)?) };
-    let mut parameters: Vec<(&str, f64)> =
+    let parameters: Vec<(&str, f64)> =
         names.iter().map(|n| (*n, put(&mut scenario.simulation.effects, n, &mut random))).collect();
     let changed = simulate(&scenario, &Silent)?;
     let strength = plain.map_or(0.0, |p| strength(&p.site, &changed.site));
@@ -112,30 +112,11 @@ pub fn draw(seed: u64, index: u64, work: &Path) -> Result<Trial, TrialError> {
     let unknown = names.len() == 1 && !known(names[0]);
     let question = if question == Question::One && unknown { Question::LeftOut } else { question };
     let exclude = (question == Question::LeftOut).then(|| names[0]);
-    // A deep crossing at high speed takes the nominal transducer to its limit; to name that is right.
-    let clips = !names.contains(&SATURATION) && clips(&changed.site);
-    if clips {
-        names.push(SATURATION);
-        parameters.push((SATURATION, changed.site.crossing.sensor.range_m_s2));
-    }
-    let question = match question {
-        Question::Nothing if clips => Question::One,
-        Question::One if clips => Question::Pair,
-        other => other,
-    };
     Ok(Trial {
         site: changed.site,
         exclude,
         answer: Answer { question, effects: names, parameters, strength },
     })
-}
-
-const SATURATION: &str = "saturation";
-
-/// Whether a recording reaches the end of the transducer's range.
-fn clips(site: &Site) -> bool {
-    let limit = 0.999 * site.crossing.sensor.range_m_s2;
-    site.passages.iter().flat_map(|p| &p.acceleration_m_s2).any(|a| f64::from(a.abs()) >= limit)
 }
 
 /// A trial before its effects are put in.
@@ -450,8 +431,8 @@ pub fn bins(scores: &[Score]) -> Vec<Bin> {
         .collect()
 }
 
-/// The parameter of an effect that a trial draws.
-fn main_parameter(name: &str) -> &'static str {
+/// The parameter of an effect that a trial draws, as the diagnosis names it.
+pub fn main_parameter(name: &str) -> &'static str {
     match name {
         "voided-sleepers" => "gap_m",
         "ballast-stiffening" => "doubling_m",

@@ -30,10 +30,13 @@ pub fn excess(gap: f64, floor: f64) -> f64 {
     (gap * gap - floor * floor).max(0.0).sqrt() / floor.max(f64::MIN_POSITIVE)
 }
 
-/// The verdict on a gap with the effects found.
-pub fn verdict(gap: &Gap, effects: &[Named]) -> Verdict {
+/// The verdict on a gap with the effects found; `untenable`: the model agrees with the recordings only over a path that the
+/// scan rules out.
+pub fn verdict(gap: &Gap, effects: &[Named], untenable: bool) -> Verdict {
     let left = excess(gap.after, gap.noise_floor);
     match effects.is_empty() {
+        true if untenable => Verdict::Unexplained,
+        false if untenable && gap.closed_fraction < EXPLAINED => Verdict::PartlyExplained,
         true if left < NO_GAP => Verdict::NoGap,
         true => Verdict::Unexplained,
         false if gap.closed_fraction >= EXPLAINED || left < 0.5 * NO_GAP => Verdict::Explained,

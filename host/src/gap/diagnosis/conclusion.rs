@@ -11,9 +11,6 @@ use crate::gap::where_;
 use crate::gap::world::World;
 use crate::progress::Progress;
 
-/// Parameters are not known better than this, relative or in units of the coordinate: what the forward model leaves out.
-const MODEL_ERROR: f64 = 0.06;
-
 impl Session<'_> {
     pub(super) fn conclude(
         mut self,
@@ -61,7 +58,16 @@ impl Session<'_> {
             let named = self.named.iter().any(|n| n.name == r.name);
             r.gap_after = if named { gap.after } else { gap.before };
         }
-        let verdict = if self.untrusted { Verdict::Unexplained } else { verdict(&gap, &self.named) };
+        let untenable = after_state.untenable(frame);
+        if untenable {
+            self.remarks.push(
+                "model and recordings agree only over a path that departs from the laser scan more than scans do: scan again, or \
+                 something acts that is not in the catalogue"
+                    .into(),
+            );
+        }
+        let verdict =
+            if self.untrusted { Verdict::Unexplained } else { verdict(&gap, &self.named, untenable) };
         let stage = match self.foreign_scan {
             true => Some(Stage::Geometry),
             false => crate::gap::verdict::stage(verdict, &self.named, &self.ranking),
@@ -88,12 +94,12 @@ impl Session<'_> {
 
     /// Parameters with intervals of the accepted effects.
     fn describe(&mut self, fit: &Fit) {
-        let widen = 1.645 * self.inflation(fit).sqrt();
+        let widen = 1.645 * fit.inflation().sqrt();
         let mut at = 3;
         for (effect, coordinates) in self.accepted.iter().zip(&fit.state.effects) {
             let mut list = Vec::new();
             for (p, c) in effect.parameters().iter().zip(coordinates) {
-                let model = MODEL_ERROR * if p.scale == Scale::Log { 1.0 } else { c.abs().max(1.0) };
+                let model = p.model_error * if p.scale == Scale::Log { 1.0 } else { c.abs().max(1.0) };
                 let half = widen * fit.covariance[(at, at)].max(0.0).sqrt() + model;
                 at += 1;
                 if !p.nuisance {

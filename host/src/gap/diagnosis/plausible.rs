@@ -3,8 +3,10 @@
 use faer::Mat;
 
 use super::Session;
-use crate::gap::effect::Effect;
+use crate::gap::GapError;
+use crate::gap::effect::{Effect, Witness};
 use crate::gap::fit::{Fit, OPERATOR_SD, operator_ratios, simulate, whitened};
+use crate::gap::forward::Response;
 
 /// A wrong clock must agree with the operator's speeds within this many standard deviations of their mean.
 const CLOCK_SPREAD: f64 = 4.0;
@@ -19,39 +21,42 @@ impl Session<'_> {
     pub(super) fn borne_out(&self, effect: &dyn Effect, found: &Fit) -> bool {
         let observed = &self.base.frame.observed;
         let Some(coordinates) = found.state.effects.last() else { return true };
-        match effect.name() {
-            "clock-error" => {
+        match effect.witness() {
+            Witness::OperatorSpeeds => {
                 let relative = effect.parameters()[0].value(coordinates[0]);
                 let ratios = operator_ratios(&self.base.frame);
                 let sd = OPERATOR_SD / (ratios.len().max(1) as f64).sqrt();
                 ratios.is_empty() || (crate::signal::mean(&ratios) - relative).abs() < CLOCK_SPREAD * sd
             }
-            "gain-temperature" => {
+            Witness::Temperatures => {
                 let train = &self.split.train;
                 let of =
                     |value: &dyn Fn(usize) -> f64| -> Vec<f64> { train.iter().map(|i| value(*i)).collect() };
-                let scales = of(&|i| self.scale_of(i));
+                let Ok(scales) = self.scales(train) else { return false };
                 let temperatures = of(&|i| observed[i].temperature_c);
                 let speeds = of(&|i| observed[i].speed_m_s);
                 chance(&scales, &temperatures, &speeds) < MOST_CHANCE
             }
-            _ => true,
+            Witness::None => true,
         }
     }
 
-    /// Factor by which the base model's mean window fits a passage best, given how wheels differ.
-    fn scale_of(&self, index: usize) -> f64 {
+    /// Factors by which the base model's mean windows fit passages best, given how wheels differ.
+    fn scales(&self, passages: &[usize]) -> Result<Vec<f64>, GapError> {
         let frame = &self.base.frame;
         let world = self.base.fit.state.world(frame, &[]);
-        let o = &frame.observed[index];
-        let Ok(responses) = simulate(&world, frame, &[index]) else { return 1.0 };
-        let late_s = self.base.fit.state.shift_m[index] / o.speed_m_s;
-        let predicted = o.predicted_mean(&responses[0], 1.0, late_s);
-        let columns = Mat::from_fn(o.mean.len(), 2, |k, c| if c == 0 { o.mean[k] } else { predicted[k] });
-        let white = whitened(&frame.factors[index], &columns);
-        let (mean, predicted) = (white.col_as_slice(0), white.col_as_slice(1));
-        let product = |b: &[f64]| predicted.iter().zip(b).map(|(p, b)| p * b).sum::<f64>();
-        product(mean) / product(predicted).max(f64::MIN_POSITIVE)
+        let responses = simulate(&world, frame, passages)?;
+        let scale = |index: usize, response: &Response| {
+            let o = &frame.observed[index];
+            let late_s = self.base.fit.state.shift_m[index] / o.speed_m_s;
+            let predicted = o.predicted_mean(response, 1.0, late_s);
+            let columns = Mat::from_fn(o.mean.len(), 2, |k, c| if c == 0 { o.mean[k] } else { predicted[k] });
+            let white = whitened(&frame.factors[index], &columns);
+            let (mean, predicted) = (white.col_as_slice(0), white.col_as_slice(1));
+            let product = |b: &[f64]| predicted.iter().zip(b).map(|(p, b)| p * b).sum::<f64>();
+            product(mean) / product(predicted).max(f64::MIN_POSITIVE)
+        };
+        Ok(passages.iter().zip(&responses).map(|(i, r)| scale(*i, r)).collect())
     }
 }
 

@@ -5,8 +5,8 @@ use super::{ALIGN_M, LEAST_GAIN, MOST_SURE, Named, Ranked, Session};
 use crate::gap::GapError;
 use crate::gap::base::fit_variation;
 use crate::gap::data::{energies, own_energy};
-use crate::gap::effect::{Effect, Stage};
-use crate::gap::fit::{Fit, FitOptions, State, fit, simulate};
+use crate::gap::effect::{ActsOn, Effect, Stage};
+use crate::gap::fit::{Fit, FitOptions, State, fit, settled, simulate};
 use crate::gap::forward::Response;
 use crate::gap::latent::{Latent, LatentFit, Scene};
 use crate::gap::measure;
@@ -37,9 +37,12 @@ const LATENT_INFLATION: f64 = 2.0;
 /// Evidence counts this much less than it says when it becomes a probability (calibrated on simulated trials).
 const PROBABILITY_SCALE: f64 = 4.0;
 
-/// Squared misfit per value above which the model is lost, and its derivatives with it: strong effects of training trials
-/// leave 2.4 to 7.5, sites without any 1.
-const LOST: f64 = 2.0;
+/// Gain in log posterior, nats, with which an effect counts although it takes nothing off the residual, because the path had
+/// taken it over: the first one named, and further ones. Reference recordings reach 45.
+const RELIEVED: (f64, f64) = (75.0, 300.0);
+/// Largest part of the energy of an effect of single wheels that all bogies of a train may share: as much as half of the
+/// wheels give.
+const MOST_SHARED: f64 = 0.65;
 
 /// A latent effect, what it found, and the part of the displacement's residual that this explains.
 type Explored = (&'static dyn Latent, Option<LatentFit>, f64);
@@ -50,17 +53,6 @@ struct Confirmed {
     named: usize,
     accepted: usize,
     fit: Option<Fit>,
-}
-
-/// What an effect acts on.
-#[derive(Clone, Copy, PartialEq)]
-enum ActsOn {
-    /// All passages alike.
-    Panel,
-    /// Single wheels.
-    Wheels,
-    /// Single recordings.
-    Recordings,
 }
 
 /// One candidate of a round.
@@ -97,18 +89,24 @@ impl Session<'_> {
         earlier: &Confirmed,
         progress: &dyn Progress,
     ) -> Result<bool, GapError> {
+        let reference = settled(&self.base.frame, &self.accepted, self.state(), self.search)?;
+        if !self.accepted.is_empty() {
+            self.fit = Some(reference.clone());
+        }
         let mut latent = self.explore()?;
         progress.step();
         let names: Vec<&str> = self.named.iter().map(|n| n.name).collect();
         let candidates: Vec<&'static dyn Effect> =
             self.common.iter().copied().filter(|e| !names.contains(&e.name())).collect();
-        let state = self.state();
-        let reference =
-            fit(&self.base.frame, &self.accepted, state.clone(), self.search, FitOptions::THOROUGH)?;
-        let lost = self.inflation(&reference) > LOST;
+        let lost = reference.lost();
+        let from_afar = match (lost, reference.state.strained(&self.base.frame)) {
+            (true, _) => vec![reference.state.clone(), reference.state.on_nominal_ballast()],
+            (false, true) => vec![reference.state.on_the_scan()],
+            (false, false) => Vec::new(),
+        };
         let (mut tried, screening) = round(
             &self.base.frame,
-            Standing { accepted: &self.accepted, state: &reference.state, lost },
+            Standing { accepted: &self.accepted, state: &reference.state, from_afar: &from_afar },
             &candidates,
             &self.hints,
             self.search,
@@ -134,7 +132,7 @@ impl Session<'_> {
                 break;
             }
             self.accept(&list[k..], &mut tried, &mut latent)?;
-            if self.confirm(earlier)? {
+            if self.confirm(earlier, list[k].misfit_gain)? {
                 return Ok(true);
             }
         }
@@ -145,7 +143,7 @@ impl Session<'_> {
     fn worth_naming(&self, c: &Candidate, number: usize, misfit: f64) -> bool {
         // A model as good as the scatter of the wheels has nothing to explain, unless the gain comes from elsewhere.
         let excess = self.scatter.0.max(0.0).sqrt();
-        let room = excess > LEAST_EXCESS || c.misfit_gain.is_infinite() || c.stage == Stage::Timing;
+        let room = excess > LEAST_EXCESS || c.stage == Stage::Timing || c.misfit_gain > relieved(number);
         // What the first effect's description leaves must not be taken for a second one.
         let (least_gain, least_share) =
             if number == 0 { (LEAST_GAIN, LEAST_SHARE) } else { (2.0 * LEAST_GAIN, 2.5 * LEAST_SHARE) };
@@ -157,8 +155,8 @@ impl Session<'_> {
         let inflation = tried
             .iter()
             .filter_map(|t| t.fit.as_ref())
-            .map(|f| self.inflation(f))
-            .fold(self.inflation(reference), f64::min);
+            .map(Fit::inflation)
+            .fold(reference.inflation(), f64::min);
         let common = tried.iter().map(|t| {
             let (gain, full) = match &t.fit {
                 // A strength at the end of its range is no strength but a fit that found no other way.
@@ -182,7 +180,9 @@ impl Session<'_> {
         });
         let latent = latent.iter().map(|(e, f, moved)| {
             let share = f.as_ref().map_or(0.0, |f| self.share_of(f));
-            let full = share > LATENT_SHARE || *moved > DISPLACEMENT_SHARE;
+            let of_wheels = e.acts_on() == ActsOn::Wheels;
+            let full = (share > LATENT_SHARE || *moved > DISPLACEMENT_SHARE)
+                && !(of_wheels && f.as_ref().is_some_and(|f| self.shared_by_bogies(f) > MOST_SHARED));
             let gain = f.as_ref().map_or(0.0, |f| f.gain) / LATENT_INFLATION;
             let gain = if full { gain } else { gain.min(0.5 * LEAST_GAIN) };
             Candidate {
@@ -191,7 +191,7 @@ impl Session<'_> {
                 gain,
                 misfit_gain: f64::INFINITY,
                 full,
-                acts_on: if e.stage() == Stage::Vehicle { ActsOn::Wheels } else { ActsOn::Recordings },
+                acts_on: e.acts_on(),
             }
         });
         common.chain(latent).collect()
@@ -301,7 +301,7 @@ impl Session<'_> {
     }
 
     /// Whether the effect accepted last takes enough off the residual; if not, it is taken back.
-    fn confirm(&mut self, earlier: &Confirmed) -> Result<bool, GapError> {
+    fn confirm(&mut self, earlier: &Confirmed, misfit_gain: f64) -> Result<bool, GapError> {
         let [acceleration, displacement, own] = self.current_squares()?;
         let Some(last) = self.named.last_mut() else { return Ok(true) };
         let part = |before: f64, now: f64, floor: f64| {
@@ -312,7 +312,11 @@ impl Session<'_> {
             .max(0.5 * part(earlier.squares[1], displacement, displacement));
         // The operator's speeds speak for a wrong clock, not the residual; effects of single wheels have their own rule.
         let least = if earlier.named == 0 { LEAST_GAINED.0 } else { LEAST_GAINED.1 };
-        if last.gained >= least || last.stage == Stage::Timing || self.accepted.len() == earlier.accepted {
+        if last.gained >= least
+            || last.stage == Stage::Timing
+            || self.accepted.len() == earlier.accepted
+            || misfit_gain > relieved(earlier.named)
+        {
             return Ok(true);
         }
         let name = last.name;
@@ -363,6 +367,13 @@ impl Session<'_> {
         own / self.scatter.1.max(f64::MIN_POSITIVE)
     }
 
+    /// Part of the energy that an effect adds to the windows which is the same for all bogies of a train: no single wheel's.
+    fn shared_by_bogies(&self, found: &LatentFit) -> f64 {
+        let parts = self.split.train.iter().map(|i| energies(&found.windows[*i]));
+        let (all, shared) = parts.fold((0.0, 0.0), |(a, s), (all, shared)| (a + all, s + shared));
+        shared / all.max(f64::MIN_POSITIVE)
+    }
+
     /// Squares of what differs between the bogies of the training passages, and the median over passages of how far the
     /// whole residual is above that, relative, in squares.
     fn squares_of(&self, residuals: &[Vec<Vec<f64>>]) -> (f64, f64) {
@@ -380,12 +391,9 @@ impl Session<'_> {
 }
 
 /// What differs between wheels is no panel's doing, but changes their mean, which an effect of the panel can follow: its gain
-/// says nothing until the wheels are in the model. Front and rear wheelsets that differ are the exception.
+/// says nothing until the wheels are in the model.
 fn put_wheels_first(list: &mut [Candidate]) {
     let qualifies = |c: &&Candidate| c.full && c.gain > LEAST_GAIN;
-    if list.iter().filter(qualifies).any(|c| c.name == "front-rear") {
-        return;
-    }
     let wheels = list.iter().filter(qualifies).filter(|c| c.acts_on == ActsOn::Wheels).map(|c| c.gain);
     let Some(best) = wheels.max_by(f64::total_cmp) else { return };
     for c in list.iter_mut().filter(|c| c.acts_on == ActsOn::Panel) {
@@ -403,6 +411,11 @@ fn displacement_share(scene: &Scene, found: &LatentFit) -> f64 {
         (before, after) = (before + energy(residual), after + energy(&left));
     }
     1.0 - after / before.max(f64::MIN_POSITIVE)
+}
+
+/// Gain in log posterior that counts by itself, after so many effects.
+fn relieved(named: usize) -> f64 {
+    if named == 0 { RELIEVED.0 } else { RELIEVED.1 }
 }
 
 fn squares(m: &faer::Mat<f64>) -> f64 {

@@ -2,7 +2,7 @@
 //!
 //! Everything scales, the excitation by the crossing apart; passenger load changes a coach by up to a sixth.
 
-use crate::gap::effect::{Effect, Hints, Parameter, Scale, Stage};
+use crate::gap::effect::{Effect, Hints, MODEL_ERROR, Parameter, Scale, Stage};
 use crate::gap::world::World;
 
 /// See the module.
@@ -16,6 +16,7 @@ const PARAMETERS: [Parameter; 1] = [Parameter {
     range: [-0.6, 0.6],
     step: 0.02,
     least: 0.04,
+    model_error: MODEL_ERROR,
     nuisance: false,
 }];
 

@@ -17,6 +17,7 @@ const PARAMETERS: [Parameter; 1] = [Parameter {
     range: [0.0, 10.0],
     step: 0.1,
     least: 0.5,
+    model_error: 0.2,
     nuisance: false,
 }];
 

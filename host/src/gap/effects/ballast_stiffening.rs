@@ -3,7 +3,7 @@
 //! w₀ is the displacement at which the secant stiffness has doubled. Range: from a fifth of a usual deflection (0.5 mm,
 //! paper fig. 12) to where nothing is left of the effect. The search runs over 1/w₀, which is nought without the effect.
 
-use crate::gap::effect::{Effect, Hints, Parameter, Scale, Stage};
+use crate::gap::effect::{Effect, Hints, MODEL_ERROR, Parameter, Scale, Stage};
 use crate::gap::world::World;
 
 /// See the module.
@@ -17,6 +17,7 @@ const PARAMETERS: [Parameter; 1] = [Parameter {
     range: [0.0, 10.0],
     step: 0.05,
     least: 0.0,
+    model_error: MODEL_ERROR,
     nuisance: false,
 }];
 

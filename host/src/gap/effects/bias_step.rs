@@ -21,6 +21,8 @@ const LOW_HZ: [f64; 2] = [8.0, 12.0];
 const DECAY_S: [f64; 8] = [0.05, 0.1, 0.15, 0.25, 0.4, 0.7, 1.2, 2.5];
 /// Cost of a step's size and of the decay, nats.
 const PER_STEP: f64 = 2.0;
+/// The sensor's high pass and the grid of decays leave the mean step this uncertain, relative.
+const STEP_ERROR: f64 = 0.08;
 
 impl Latent for BiasStep {
     fn name(&self) -> &'static str {
@@ -58,7 +60,7 @@ impl Latent for BiasStep {
         Some(LatentFit {
             gain: score,
             parameters: vec![
-                ("step_m_s2", step, step - half, step + half),
+                ("step_m_s2", step, step - half - STEP_ERROR * step, step + half + STEP_ERROR * step),
                 ("decay_s", decay_s, decay_s / 1.6, decay_s * 1.6),
             ],
             windows: scene.cut(&traces),

@@ -3,7 +3,7 @@
 //! Everything in time is stretched: the speed comes out wrong by as much, so positions stay right, but frequencies of track
 //! and wheel do not. The operator's speeds (1 % each, unbiased) see it too. Range: a broken crystal or a wrong divider.
 
-use crate::gap::effect::{Effect, Hints, Parameter, Scale, Stage};
+use crate::gap::effect::{Effect, Hints, Parameter, Scale, Stage, Witness};
 use crate::gap::world::World;
 
 /// See the module.
@@ -17,6 +17,7 @@ const PARAMETERS: [Parameter; 1] = [Parameter {
     range: [-8.0, 8.0],
     step: 0.2,
     least: 0.0,
+    model_error: 0.15,
     nuisance: false,
 }];
 
@@ -39,6 +40,10 @@ impl Effect for ClockError {
 
     fn nought(&self) -> Option<Vec<f64>> {
         Some(vec![0.0])
+    }
+
+    fn witness(&self) -> Witness {
+        Witness::OperatorSpeeds
     }
 
     fn apply(&self, world: &mut World, values: &[f64]) {

@@ -1,6 +1,6 @@
 //! Bending stiffness and mass of the crossing rail: factors on the nominal three times plain rail (paper, Table 1).
 
-use crate::gap::effect::{Effect, Hints, Parameter, Scale, Stage};
+use crate::gap::effect::{Effect, Hints, MODEL_ERROR, Parameter, Scale, Stage};
 use crate::gap::world::World;
 
 /// See the module.
@@ -15,6 +15,7 @@ const PARAMETERS: [Parameter; 2] = [
         range: [-1.5, 1.5],
         step: 0.05,
         least: 0.15,
+        model_error: MODEL_ERROR,
         nuisance: false,
     },
     Parameter {
@@ -25,6 +26,7 @@ const PARAMETERS: [Parameter; 2] = [
         range: [-1.5, 1.5],
         step: 0.05,
         least: 0.0,
+        model_error: MODEL_ERROR,
         nuisance: false,
     },
 ];

@@ -3,7 +3,7 @@
 //! Differences are front minus rear over their mean. Breaks the paper's assumption that both have the same force
 //! (section 4.2).
 
-use crate::gap::effect::{Effect, Hints, Parameter, Scale, Stage};
+use crate::gap::effect::{Effect, Hints, MODEL_ERROR, Parameter, Scale, Stage};
 use crate::gap::world::World;
 
 /// See the module.
@@ -14,10 +14,11 @@ const PARAMETERS: [Parameter; 2] = [
         name: "depth_difference",
         scale: Scale::Linear,
         unit_size: 0.1,
-        prior: (0.0, 1.5),
-        range: [-9.0, 9.0],
+        prior: (0.0, 3.0),
+        range: [-18.0, 18.0],
         step: 0.2,
         least: 0.3,
+        model_error: MODEL_ERROR,
         nuisance: false,
     },
     Parameter {
@@ -28,6 +29,7 @@ const PARAMETERS: [Parameter; 2] = [
         range: [-9.0, 9.0],
         step: 0.2,
         least: 0.0,
+        model_error: MODEL_ERROR,
         nuisance: false,
     },
 ];

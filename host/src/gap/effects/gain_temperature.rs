@@ -3,7 +3,7 @@
 //! Acts on all frequencies alike and follows the temperature from passage to passage. T₀ is unknown, so a constant gain goes
 //! with it. Data sheets give up to 0.04 %/K; a failing bridge or a loose mount reaches ten times that.
 
-use crate::gap::effect::{Effect, Hints, Parameter, Scale, Stage};
+use crate::gap::effect::{Effect, Hints, MODEL_ERROR, Parameter, Scale, Stage, Witness};
 use crate::gap::world::World;
 
 /// See the module.
@@ -18,6 +18,7 @@ const PARAMETERS: [Parameter; 2] = [
         range: [-20.0, 20.0],
         step: 1.0,
         least: 0.0,
+        model_error: MODEL_ERROR,
         nuisance: false,
     },
     Parameter {
@@ -28,6 +29,7 @@ const PARAMETERS: [Parameter; 2] = [
         range: [50.0, 200.0],
         step: 1.0,
         least: 0.0,
+        model_error: MODEL_ERROR,
         nuisance: true,
     },
 ];
@@ -55,6 +57,10 @@ impl Effect for GainTemperature {
 
     fn simulated(&self) -> bool {
         false
+    }
+
+    fn witness(&self) -> Witness {
+        Witness::Temperatures
     }
 
     fn apply(&self, world: &mut World, values: &[f64]) {

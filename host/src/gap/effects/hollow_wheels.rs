@@ -195,6 +195,16 @@ impl Mixture {
             .map(|s| s.fitted(list, Tie::SameSpread).fitted(list, Tie::Free))
             .filter(|m| m.share > 0.02 && m.share < 0.75)
             .max_by(|a, b| a.score(list).total_cmp(&b.score(list)))
+            .map(Self::minority_second)
+    }
+
+    /// Natural wheels are the majority.
+    fn minority_second(self) -> Self {
+        let swapped = |[a, b]: [[f64; 2]; 2]| [b, a];
+        match self.share > 0.5 {
+            true => Self { mean: swapped(self.mean), sd: swapped(self.sd), share: 1.0 - self.share },
+            false => self,
+        }
     }
 
     fn log_density(&self, group: usize, o: &Own) -> f64 {

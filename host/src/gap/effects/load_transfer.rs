@@ -1,6 +1,6 @@
 //! Static load shared unequally between the two rails: cant, curve, skew load. Positive loads the crossing side.
 
-use crate::gap::effect::{Effect, Hints, Parameter, Scale, Stage};
+use crate::gap::effect::{Effect, Hints, MODEL_ERROR, Parameter, Scale, Stage};
 use crate::gap::world::World;
 
 /// See the module.
@@ -14,6 +14,7 @@ const PARAMETERS: [Parameter; 1] = [Parameter {
     range: [-5.0, 5.0],
     step: 0.2,
     least: 0.2,
+    model_error: MODEL_ERROR,
     nuisance: false,
 }];
 

@@ -2,7 +2,7 @@
 //!
 //! Glued mounts resonate above 1 kHz; brackets and magnets at some hundred hertz reach into the band.
 
-use crate::gap::effect::{Effect, Hints, Parameter, Scale, Stage};
+use crate::gap::effect::{Effect, Hints, MODEL_ERROR, Parameter, Scale, Stage};
 use crate::gap::world::World;
 
 /// See the module.
@@ -17,6 +17,7 @@ const PARAMETERS: [Parameter; 2] = [
         range: [-1.2, 1.4],
         step: 0.03,
         least: 0.0,
+        model_error: MODEL_ERROR,
         nuisance: false,
     },
     Parameter {
@@ -27,6 +28,7 @@ const PARAMETERS: [Parameter; 2] = [
         range: [-2.5, 1.8],
         step: 0.1,
         least: 0.0,
+        model_error: MODEL_ERROR,
         nuisance: false,
     },
 ];

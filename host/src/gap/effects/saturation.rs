@@ -3,7 +3,7 @@
 //! The recordings show it themselves: most of them end at the same value, with flat tops there ([`flat_top_m_s2`]). Only
 //! where few clip does the search find it, from the largest value on.
 
-use crate::gap::effect::{Effect, Hints, Parameter, Scale, Stage};
+use crate::gap::effect::{Effect, Hints, MODEL_ERROR, Parameter, Scale, Stage};
 use crate::gap::world::World;
 
 /// See the module.
@@ -17,6 +17,7 @@ const PARAMETERS: [Parameter; 1] = [Parameter {
     range: [-3.0, 2.0],
     step: 0.05,
     least: 0.0,
+    model_error: MODEL_ERROR,
     nuisance: false,
 }];
 

@@ -1,7 +1,7 @@
 //! A dip in the stock rail opposite the crossing, (1 + cos)/2: a bad weld or a squat. The sensor sits on the other side, so
 //! it shows through the sleeper and the rolling of the wheelset.
 
-use crate::gap::effect::{Effect, Hints, Parameter, Scale, Stage};
+use crate::gap::effect::{Effect, Hints, MODEL_ERROR, Parameter, Scale, Stage};
 use crate::gap::world::World;
 
 /// See the module.
@@ -12,10 +12,11 @@ const PARAMETERS: [Parameter; 3] = [
         name: "depth_m",
         scale: Scale::Linear,
         unit_size: 0.3e-3,
-        prior: (0.0, 1.5),
-        range: [-8.0, 8.0],
+        prior: (0.0, 4.0),
+        range: [-16.0, 16.0],
         step: 0.2,
         least: 0.0,
+        model_error: MODEL_ERROR,
         nuisance: false,
     },
     Parameter {
@@ -26,6 +27,7 @@ const PARAMETERS: [Parameter; 3] = [
         range: [-3.0, 3.0],
         step: 0.02,
         least: 0.0,
+        model_error: MODEL_ERROR,
         nuisance: false,
     },
     Parameter {
@@ -36,6 +38,7 @@ const PARAMETERS: [Parameter; 3] = [
         range: [-1.7, 1.4],
         step: 0.1,
         least: 0.0,
+        model_error: MODEL_ERROR,
         nuisance: true,
     },
 ];
@@ -55,6 +58,11 @@ impl Effect for StockIrregularity {
 
     fn starts(&self, _hints: &Hints) -> Vec<Vec<f64>> {
         (-4..=4).map(|k| vec![0.1, 0.5 * f64::from(k), 0.0]).collect()
+    }
+
+    fn far_starts(&self, _hints: &Hints) -> Vec<Vec<f64>> {
+        // Half a dip apart, so that one of them overlaps with any dip.
+        (-7..=7).map(|k| vec![3.0, 0.27 * f64::from(k), 0.0]).collect()
     }
 
     fn apply(&self, world: &mut World, values: &[f64]) {

@@ -2,7 +2,7 @@
 //!
 //! A factor on the stiffness on the side of negative and of positive x; 1 is the outer stiffness p1.
 
-use crate::gap::effect::{Effect, Hints, Parameter, Scale, Stage};
+use crate::gap::effect::{Effect, Hints, MODEL_ERROR, Parameter, Scale, Stage};
 use crate::gap::world::World;
 
 /// See the module.
@@ -17,6 +17,7 @@ const PARAMETERS: [Parameter; 2] = [
         range: [-3.0, 1.0],
         step: 0.1,
         least: 0.0,
+        model_error: MODEL_ERROR,
         nuisance: false,
     },
     Parameter {
@@ -27,6 +28,7 @@ const PARAMETERS: [Parameter; 2] = [
         range: [-3.0, 1.0],
         step: 0.1,
         least: 0.0,
+        model_error: MODEL_ERROR,
         nuisance: false,
     },
 ];

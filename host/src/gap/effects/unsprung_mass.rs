@@ -1,7 +1,7 @@
 //! Wheelsets heavier or lighter than in the description: other wheels, axle-mounted drives (a driven wheelset weighs up to
 //! twice a trailing one).
 
-use crate::gap::effect::{Effect, Hints, Parameter, Scale, Stage};
+use crate::gap::effect::{Effect, Hints, MODEL_ERROR, Parameter, Scale, Stage};
 use crate::gap::world::World;
 
 /// See the module.
@@ -15,6 +15,7 @@ const PARAMETERS: [Parameter; 1] = [Parameter {
     range: [-1.0, 1.0],
     step: 0.04,
     least: 0.1,
+    model_error: MODEL_ERROR,
     nuisance: false,
 }];
 

@@ -19,6 +19,7 @@ const PARAMETERS: [Parameter; 2] = [
         range: [-2.5, 2.3],
         step: 0.05,
         least: 0.0,
+        model_error: 0.3,
         nuisance: false,
     },
     Parameter {
@@ -29,6 +30,7 @@ const PARAMETERS: [Parameter; 2] = [
         range: [0.0, 1.0],
         step: 0.05,
         least: 0.0,
+        model_error: 0.3,
         nuisance: true,
     },
 ];

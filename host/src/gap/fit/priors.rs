@@ -4,6 +4,7 @@ use faer::Mat;
 
 use super::{Frame, Shape, State, lower_solve};
 use crate::gap::effect::Effect;
+use crate::track::Side;
 
 /// Prior of ln p1, ln p2 (30 MN/m² within a factor of about three, paper Table 1) and of the shape.
 pub(super) const BALLAST_PRIOR: [(f64, f64); 3] = [(17.2, 1.0), (17.2, 1.0), (0.4, 0.1)];
@@ -11,6 +12,19 @@ pub(super) const BALLAST_PRIOR: [(f64, f64); 3] = [(17.2, 1.0), (17.2, 1.0), (0.
 pub(super) const SHIFT_SD_M: (f64, f64) = (0.05, 0.02);
 /// Operator's speeds are within 1 % (uniform).
 pub const OPERATOR_SD: f64 = 0.0058;
+
+/// Squares of the path's deviation per knot in units of its prior, crossing and stock side: about 1 or less when the path is
+/// what the prior says.
+pub fn path_strain(frame: &Frame, state: &State) -> [f64; 2] {
+    let deviation = Mat::from_fn(state.deviation_m.len(), 1, |i, _| state.deviation_m[i]);
+    let white = lower_solve(&frame.deviation_root, &deviation);
+    let knots = frame.base.path.deviation.knots();
+    [Side::Crossing, Side::Stock].map(|side| {
+        let squares = (0..knots.len()).filter(|k| knots[*k].0 == side).map(|k| white[(k, 0)].powi(2));
+        let count = squares.clone().count();
+        squares.sum::<f64>() / count.max(1) as f64
+    })
+}
 
 pub(super) fn prior_cost(frame: &Frame, effects: &[&dyn Effect], state: &State, subset: &[usize]) -> f64 {
     let square = |v: f64, (mean, sd): (f64, f64)| 0.5 * ((v - mean) / sd).powi(2);

@@ -12,6 +12,7 @@ pub mod growth;
 mod headline;
 mod indicator;
 mod irregularity;
+pub(crate) mod markdown;
 mod page;
 mod peaks;
 mod plot;

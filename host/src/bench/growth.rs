@@ -155,18 +155,12 @@ fn speeds() -> Result<Curve, JobError> {
 
 /// The curves as a Markdown table.
 pub fn markdown(curves: &[Curve]) -> String {
-    let mut text = String::from("| work | doubled | CPU s at each | exponent |\n| --- | --- | --- | --- |\n");
-    for curve in curves {
+    let row = |curve: &Curve| {
         let points: Vec<String> = curve.points.iter().map(|(n, t)| format!("{n:.0}: {t:.4}")).collect();
-        let exponent = curve.exponent();
-        text.push_str(&format!(
-            "| {} | {} | {} | {exponent:.2} |\n",
-            curve.what,
-            curve.of,
-            points.join(", ")
-        ));
-    }
-    text
+        vec![curve.what.into(), curve.of.into(), points.join(", "), format!("{:.2}", curve.exponent())]
+    };
+    let rows: Vec<Vec<String>> = curves.iter().map(row).collect();
+    crate::report::markdown::rows(&["work", "doubled", "CPU s at each", "exponent"], &rows)
 }
 
 #[cfg(test)]

@@ -142,10 +142,8 @@ const CAPTIONS: [&str; 8] =
 
 /// The comparison as a Markdown table, with the answers of both and what was not run.
 pub fn markdown(rows: &[Row]) -> String {
-    let line = |cells: &[String]| format!("| {} |\n", cells.join(" | "));
-    let mut text = line(&CAPTIONS.map(String::from));
-    text.push_str(&line(&CAPTIONS.map(|_| "---".to_owned())));
-    rows.iter().for_each(|row| text.push_str(&line(&row.cells())));
+    let cells: Vec<Vec<String>> = rows.iter().map(|row| row.cells().to_vec()).collect();
+    let mut text = crate::report::markdown::rows(&CAPTIONS, &cells);
     for row in rows {
         if let Some(run) = row.ours.first() {
             text.push_str(&format!("\n{}: {}\n", row.job, run.answer));

@@ -137,9 +137,9 @@ fn diagnose(site: &Path, out: &Path, exclude: Option<&str>) -> anyhow::Result<se
 }
 
 /// Part of the trials without an effect that must stay without one, and part of the effects stronger than twice the floor
-/// that must be found: what 20 trials reach in 19 of 20 runs when 39 of 40 and 21 of 28 do, as in the last 200 (4 of the
-/// first kind and about 3 of the second among 20).
-const LEAST_RIGHT: (f64, f64) = (0.75, 0.3);
+/// that must be found: less than is asked of a full run, because 20 trials hold four of the first kind and about three of the
+/// second.
+const LEAST_RIGHT: (f64, f64) = (0.75, 0.6);
 
 fn check(scores: &[Score]) -> anyhow::Result<()> {
     let part = |pick: &dyn Fn(&&Score) -> bool| {

@@ -160,7 +160,7 @@ fn scout(
 /// Near the base model the first derivatives hold; what is accepted is fitted again.
 const SMOOTH: FitOptions = FitOptions { steps: 8, renew: 3, tolerance: 0.5 };
 /// An effect that does not begin smoothly is looked for from all its starts in a few passages first.
-const SCOUT: FitOptions = FitOptions { steps: 5, renew: 5, tolerance: 3.0 };
+const SCOUT: FitOptions = FitOptions { steps: 6, renew: 3, tolerance: 3.0 };
 const SCOUTED: usize = 3;
 
 /// Outer stiffness this far from nominal (logarithm) is hardly real.

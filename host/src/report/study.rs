@@ -13,8 +13,6 @@ pub type NamedSvg = (String, String);
 
 /// A table as Markdown, title and note included.
 pub fn markdown(table: &crate::verification::Table) -> String {
-    let line = |cells: &[String]| format!("| {} |\n", cells.join(" | "));
-    let rule: Vec<String> = table.columns.iter().map(|_| "---".to_string()).collect();
-    let rows: String = table.rows.iter().map(|r| line(r)).collect();
-    format!("**{}**\n\n{}\n\n{}{}{rows}", table.title, table.note, line(&table.columns), line(&rule))
+    let rows = super::markdown::rows(&table.columns, &table.rows);
+    format!("**{}**\n\n{}\n\n{rows}", table.title, table.note)
 }

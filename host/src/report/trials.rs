@@ -34,7 +34,7 @@ fn detection(scores: &[Score]) -> Result<String, ReportError> {
             let x = s.strength_to_floor.max(1e-9).log10().clamp(STRENGTH.0, STRENGTH.1);
             (if s.right { &mut found } else { &mut missed }).push((x, i as f64));
         }
-        layers.push(Layer::Word { at: (-3.25, i as f64 - 0.2), text: (*name).into(), color: INK });
+        layers.push(Layer::Word { at: (-3.25, i as f64 + 0.28), text: (*name).into(), color: INK });
     }
     layers.push(Layer::Dots { points: missed, color: RED, opacity: 0.7, size: 9 });
     layers.push(Layer::Dots { points: found, color: GREEN, opacity: 0.7, size: 9 });

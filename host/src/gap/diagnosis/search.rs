@@ -133,6 +133,7 @@ impl Session<'_> {
             }
             self.accept(&list[k..], &mut tried, &mut latent)?;
             if self.confirm(earlier, list[k].misfit_gain)? {
+                self.prune()?;
                 return Ok(true);
             }
         }
@@ -327,6 +328,29 @@ impl Session<'_> {
             r.probability = r.probability.min(0.5 * (1.0 - r.probability).max(0.1));
         }
         Ok(false)
+    }
+
+    /// Takes back earlier effects of the panel that the model no longer needs: what is found first may only have stood in for
+    /// what is found later.
+    fn prune(&mut self) -> Result<(), GapError> {
+        let mut k = 0;
+        while k + 1 < self.accepted.len() {
+            let Some(now) = self.fit.as_ref() else { return Ok(()) };
+            let (mut fewer, mut state) = (self.accepted.clone(), now.state.clone());
+            let name = fewer.remove(k).name();
+            state.effects.remove(k);
+            let without = settled(&self.base.frame, &fewer, state, self.search)?;
+            if now.log_evidence - without.log_evidence > LEAST_GAIN * now.inflation() {
+                k += 1;
+                continue;
+            }
+            (self.accepted, self.fit) = (fewer, Some(without));
+            self.named.retain(|n| n.name != name);
+            for r in self.ranking.iter_mut().filter(|r| r.name == name) {
+                r.probability = r.probability.min(1.0 - MOST_SURE);
+            }
+        }
+        Ok(())
     }
 
     /// Once wheels are known to differ by an effect, their natural variation is what remains.

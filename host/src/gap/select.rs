@@ -21,6 +21,8 @@ pub struct Tried<'e> {
 const FITTED: (usize, usize) = (5, 2);
 /// The same where all have been scouted.
 const FITTED_FROM_AFAR: usize = 3;
+/// Log evidence, of the few passages that are scouted, by which a candidate is beyond doubt worse than the best.
+const BEYOND_DOUBT: f64 = 150.0;
 /// Least expected gain for a fit; an effect that is worth naming gains several times as much.
 const LEAST_GAIN: f64 = 4.0;
 /// A candidate is not fitted when its expected gain is below this part of the largest.
@@ -33,9 +35,9 @@ pub struct Standing<'a, 'e> {
     pub accepted: &'a [&'e dyn Effect],
     /// Fit with them.
     pub state: &'a State,
-    /// States from which every candidate is scouted, where the model is so far off that its derivatives say little of what
-    /// would mend it; none where they do.
-    pub from_afar: &'a [State],
+    /// State from which every candidate is scouted, where the model is so far off that its derivatives say little of what
+    /// would mend it.
+    pub from_afar: Option<&'a State>,
 }
 
 /// Screens and fits candidates on top of what is accepted.
@@ -57,7 +59,9 @@ pub fn round<'e>(
     order.sort_by(|a, b| b.1.total_cmp(&a.1));
     let with =
         |e: usize| -> Vec<&'e dyn Effect> { accepted.iter().copied().chain([candidates[e]]).collect() };
-    let fits = if from_afar.is_empty() {
+    let fits = if let Some(afar) = from_afar {
+        fits_from_afar(frame, afar, &order, &with, hints, subset)
+    } else {
         let largest = order.first().map_or(0.0, |o| o.1);
         let most = if accepted.is_empty() { FITTED.0 } else { FITTED.1 };
         order
@@ -69,8 +73,6 @@ pub fn round<'e>(
                 passes.then(|| candidate(frame, &with(*e), state, &starts, *start, subset)).flatten()
             })
             .collect()
-    } else {
-        fits_from_afar(frame, from_afar, &order, &with, hints, subset)
     };
     let tried = order
         .into_iter()
@@ -80,11 +82,10 @@ pub fn round<'e>(
     Ok((tried, screening))
 }
 
-/// Fits in the order of `order`: every candidate is scouted from all its starts and all states, and the most promising are
-/// fitted.
+/// Fits in the order of `order`: every candidate is scouted from all its starts, and the most promising are fitted.
 fn fits_from_afar<'e>(
     frame: &Frame,
-    states: &[State],
+    state: &State,
     order: &[(usize, f64, usize)],
     with: &(dyn Fn(usize) -> Vec<&'e dyn Effect> + Sync),
     hints: &Hints,
@@ -95,13 +96,15 @@ fn fits_from_afar<'e>(
         .map(|(e, ..)| {
             let list = with(*e);
             let starts = list.last()?.far_starts(hints);
-            scout(frame, &list, states, &starts, subset)
+            scout(frame, &list, std::slice::from_ref(state), &starts, subset)
         })
         .collect();
     let mut best: Vec<usize> = (0..order.len()).filter(|k| scouted[*k].is_some()).collect();
     let evidence = |k: &usize| scouted[*k].as_ref().map_or(f64::NEG_INFINITY, |f| f.log_evidence);
     best.sort_by(|a, b| evidence(b).total_cmp(&evidence(a)));
     best.truncate(FITTED_FROM_AFAR);
+    let highest = best.first().map_or(0.0, evidence);
+    best.retain(|k| evidence(k) > highest - BEYOND_DOUBT);
     scouted
         .par_iter()
         .zip(order)

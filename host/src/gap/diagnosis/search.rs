@@ -89,7 +89,13 @@ impl Session<'_> {
         earlier: &Confirmed,
         progress: &dyn Progress,
     ) -> Result<bool, GapError> {
-        let reference = settled(&self.base.frame, &self.accepted, self.state(), self.search)?;
+        let frame = &self.base.frame;
+        let reference = if self.accepted.is_empty() {
+            // The base model has settled already.
+            fit(frame, &[], self.state(), self.search, FitOptions::THOROUGH)?
+        } else {
+            settled(frame, &self.accepted, self.state(), self.search)?
+        };
         if !self.accepted.is_empty() {
             self.fit = Some(reference.clone());
         }
@@ -100,13 +106,13 @@ impl Session<'_> {
             self.common.iter().copied().filter(|e| !names.contains(&e.name())).collect();
         let lost = reference.lost();
         let from_afar = match (lost, reference.state.strained(&self.base.frame)) {
-            (true, _) => vec![reference.state.clone(), reference.state.on_nominal_ballast()],
-            (false, true) => vec![reference.state.on_the_scan()],
-            (false, false) => Vec::new(),
+            (true, _) if self.accepted.is_empty() => Some(reference.state.on_nominal_ballast()),
+            (true, _) | (_, true) => Some(reference.state.on_the_scan()),
+            (false, false) => None,
         };
         let (mut tried, screening) = round(
             &self.base.frame,
-            Standing { accepted: &self.accepted, state: &reference.state, from_afar: &from_afar },
+            Standing { accepted: &self.accepted, state: &reference.state, from_afar: from_afar.as_ref() },
             &candidates,
             &self.hints,
             self.search,

@@ -34,13 +34,12 @@ pub fn excess(gap: f64, floor: f64) -> f64 {
 /// scan rules out.
 pub fn verdict(gap: &Gap, effects: &[Named], untenable: bool) -> Verdict {
     let left = excess(gap.after, gap.noise_floor);
+    let closes = left < 0.5 * NO_GAP;
     match effects.is_empty() {
-        true if untenable => Verdict::Unexplained,
-        false if untenable && gap.closed_fraction < EXPLAINED => Verdict::PartlyExplained,
-        true if left < NO_GAP => Verdict::NoGap,
+        true if left < NO_GAP && !untenable => Verdict::NoGap,
         true => Verdict::Unexplained,
-        false if gap.closed_fraction >= EXPLAINED || left < 0.5 * NO_GAP => Verdict::Explained,
-        false if gap.closed_fraction >= PARTLY => Verdict::PartlyExplained,
+        false if !untenable && (gap.closed_fraction >= EXPLAINED || closes) => Verdict::Explained,
+        false if gap.closed_fraction >= PARTLY || closes => Verdict::PartlyExplained,
         false => Verdict::Unexplained,
     }
 }

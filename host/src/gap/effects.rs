@@ -51,3 +51,29 @@ pub static LATENT: [&dyn Latent; 5] = [
     &tonal::Tonal,
     &bias_step::BiasStep,
 ];
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gap::effect::Hints;
+
+    #[test]
+    fn property_starts_lie_inside_the_ranges_and_far_ones_on_both_sides_of_nought() {
+        let hints = Hints { largest_m_s2: 100.0 };
+        for effect in COMMON {
+            let far = effect.far_starts(&hints);
+            for start in effect.starts(&hints).iter().chain(&far) {
+                let inside =
+                    start.iter().zip(effect.parameters()).all(|(c, p)| (p.range[0]..=p.range[1]).contains(c));
+                assert!(inside && start.len() == effect.parameters().len(), "{} {start:?}", effect.name());
+            }
+            let Some(nought) = effect.nought() else { continue };
+            let p = effect.parameters()[0];
+            let above = far.iter().any(|s| s[0] > nought[0]);
+            let below = far.iter().any(|s| s[0] < nought[0]);
+            // Where nought is an end of the range, there is one side only.
+            assert!(above || nought[0] >= p.range[1], "{}", effect.name());
+            assert!(below || nought[0] <= p.range[0], "{}", effect.name());
+        }
+    }
+}

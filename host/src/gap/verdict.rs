@@ -52,3 +52,40 @@ pub fn stage(verdict: Verdict, effects: &[Named], ranking: &[Ranked]) -> Option<
         (_, None) => ranking.iter().max_by(|a, b| a.gain.total_cmp(&b.gain)).map(|r| r.stage),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn gap(before: f64, after: f64) -> Gap {
+        let closed_fraction = if before > 1.0 { (before - after) / (before - 1.0) } else { 0.0 };
+        Gap {
+            before,
+            after,
+            noise_floor: 1.0,
+            closed_fraction,
+            closed_fraction_ci90: [closed_fraction; 2],
+            bands: Vec::new(),
+        }
+    }
+
+    fn pads() -> [Named; 1] {
+        [Named {
+            name: "pad-stiffness",
+            stage: Stage::Track,
+            probability: 0.9,
+            parameters: Vec::new(),
+            indistinguishable_from: Vec::new(),
+            gained: 1.0,
+        }]
+    }
+
+    #[test]
+    fn property_a_path_no_scan_allows_is_never_no_gap_nor_explained() {
+        assert_eq!(verdict(&gap(1.02, 1.02), &[], false), Verdict::NoGap);
+        assert_eq!(verdict(&gap(1.02, 1.02), &[], true), Verdict::Unexplained);
+        assert_eq!(verdict(&gap(2.0, 1.01), &pads(), false), Verdict::Explained);
+        assert_eq!(verdict(&gap(2.0, 1.01), &pads(), true), Verdict::PartlyExplained);
+        assert_eq!(verdict(&gap(2.0, 1.9), &pads(), true), Verdict::Unexplained);
+    }
+}

@@ -94,21 +94,21 @@ impl Session<'_> {
             // The base model has settled already.
             fit(frame, &[], self.state(), self.search, FitOptions::THOROUGH)?
         } else {
-            settled(frame, &self.accepted, self.state(), self.search)?
+            let settled = settled(frame, &self.accepted, self.state(), self.search)?;
+            self.fit = Some(settled.clone());
+            settled
         };
-        if !self.accepted.is_empty() {
-            self.fit = Some(reference.clone());
-        }
         let mut latent = self.explore()?;
         progress.step();
         let names: Vec<&str> = self.named.iter().map(|n| n.name).collect();
         let candidates: Vec<&'static dyn Effect> =
             self.common.iter().copied().filter(|e| !names.contains(&e.name())).collect();
         let lost = reference.lost();
-        let from_afar = match (lost, reference.state.strained(&self.base.frame)) {
-            (true, _) if self.accepted.is_empty() => Some(reference.state.on_nominal_ballast()),
-            (true, _) | (_, true) => Some(reference.state.on_the_scan()),
-            (false, false) => None,
+        let from_afar = if lost && self.accepted.is_empty() {
+            Some(reference.state.on_nominal_ballast())
+        } else {
+            let astray = lost || reference.state.strained(&self.base.frame);
+            astray.then(|| reference.state.on_the_scan())
         };
         let (mut tried, screening) = round(
             &self.base.frame,
@@ -150,7 +150,8 @@ impl Session<'_> {
     fn worth_naming(&self, c: &Candidate, number: usize, misfit: f64) -> bool {
         // A model as good as the scatter of the wheels has nothing to explain, unless the gain comes from elsewhere.
         let excess = self.scatter.0.max(0.0).sqrt();
-        let room = excess > LEAST_EXCESS || c.stage == Stage::Timing || c.misfit_gain > relieved(number);
+        let room =
+            excess > LEAST_EXCESS || c.stage == Stage::Timing || c.misfit_gain > asked(RELIEVED, number);
         // What the first effect's description leaves must not be taken for a second one.
         let (least_gain, least_share) =
             if number == 0 { (LEAST_GAIN, LEAST_SHARE) } else { (2.0 * LEAST_GAIN, 2.5 * LEAST_SHARE) };
@@ -318,11 +319,10 @@ impl Session<'_> {
         last.gained = part(earlier.squares[0], acceleration, own)
             .max(0.5 * part(earlier.squares[1], displacement, displacement));
         // The operator's speeds speak for a wrong clock, not the residual; effects of single wheels have their own rule.
-        let least = if earlier.named == 0 { LEAST_GAINED.0 } else { LEAST_GAINED.1 };
-        if last.gained >= least
+        if last.gained >= asked(LEAST_GAINED, earlier.named)
             || last.stage == Stage::Timing
             || self.accepted.len() == earlier.accepted
-            || misfit_gain > relieved(earlier.named)
+            || misfit_gain > asked(RELIEVED, earlier.named)
         {
             return Ok(true);
         }
@@ -443,9 +443,9 @@ fn displacement_share(scene: &Scene, found: &LatentFit) -> f64 {
     1.0 - after / before.max(f64::MIN_POSITIVE)
 }
 
-/// Gain in log posterior that counts by itself, after so many effects.
-fn relieved(named: usize) -> f64 {
-    if named == 0 { RELIEVED.0 } else { RELIEVED.1 }
+/// What is asked of the first effect, or of one after `named` others.
+fn asked((first, further): (f64, f64), named: usize) -> f64 {
+    if named == 0 { first } else { further }
 }
 
 fn squares(m: &faer::Mat<f64>) -> f64 {

@@ -15,9 +15,8 @@ pub const OPERATOR_SD: f64 = 0.0058;
 
 /// Squares of the path's deviation per knot in units of its prior, crossing and stock side: about 1 or less when the path is
 /// what the prior says.
-pub fn path_strain(frame: &Frame, state: &State) -> [f64; 2] {
-    let deviation = Mat::from_fn(state.deviation_m.len(), 1, |i, _| state.deviation_m[i]);
-    let white = lower_solve(&frame.deviation_root, &deviation);
+pub(super) fn path_strain(frame: &Frame, state: &State) -> [f64; 2] {
+    let white = whitened_deviation(frame, state);
     let knots = frame.base.path.deviation.knots();
     [Side::Crossing, Side::Stock].map(|side| {
         let squares = (0..knots.len()).filter(|k| knots[*k].0 == side).map(|k| white[(k, 0)].powi(2));
@@ -26,10 +25,15 @@ pub fn path_strain(frame: &Frame, state: &State) -> [f64; 2] {
     })
 }
 
+/// The path's deviation in units of its prior, one column.
+fn whitened_deviation(frame: &Frame, state: &State) -> Mat<f64> {
+    let deviation = Mat::from_fn(state.deviation_m.len(), 1, |i, _| state.deviation_m[i]);
+    lower_solve(&frame.deviation_root, &deviation)
+}
+
 pub(super) fn prior_cost(frame: &Frame, effects: &[&dyn Effect], state: &State, subset: &[usize]) -> f64 {
     let square = |v: f64, (mean, sd): (f64, f64)| 0.5 * ((v - mean) / sd).powi(2);
-    let deviation = Mat::from_fn(state.deviation_m.len(), 1, |i, _| state.deviation_m[i]);
-    let white = lower_solve(&frame.deviation_root, &deviation);
+    let white = whitened_deviation(frame, state);
     let path: f64 = 0.5 * white.col_as_slice(0).iter().map(|v| v * v).sum::<f64>();
     let ballast: f64 = state.ballast.iter().zip(BALLAST_PRIOR).map(|(v, p)| square(*v, p)).sum();
     let common = common_shift(state, subset);

@@ -105,7 +105,7 @@ fn fits_from_afar<'e>(
     best.truncate(FITTED_FROM_AFAR);
     let highest = best.first().map_or(0.0, evidence);
     best.retain(|k| evidence(k) > highest - BEYOND_DOUBT);
-    scouted
+    let mut fits: Vec<Option<Fit>> = scouted
         .par_iter()
         .zip(order)
         .enumerate()
@@ -113,7 +113,36 @@ fn fits_from_afar<'e>(
             let start = scouted.as_ref().filter(|_| best.contains(&k))?.state.clone();
             fit(frame, &with(*e), start, subset, FitOptions::THOROUGH).ok()
         })
-        .collect()
+        .collect();
+    // Where even the best is lost, the few passages may have chosen the wrong one of its starts.
+    let evidence = |k: &usize| fits[*k].as_ref().map_or(f64::NEG_INFINITY, |f| f.log_evidence);
+    let first = (0..fits.len()).max_by(|a, b| evidence(a).total_cmp(&evidence(b)));
+    if let Some(k) = first.filter(|k| fits[*k].as_ref().is_some_and(Fit::lost)) {
+        let again = from_every_start(frame, state, &with(order[k].0), hints, subset);
+        fits[k] = fits[k].take().into_iter().chain(again).max_by(by_evidence);
+    }
+    fits
+}
+
+/// Best thorough fit from all starts of the last effect of `list`, where that does not begin smoothly: its starts lie in
+/// different valleys.
+fn from_every_start(
+    frame: &Frame,
+    state: &State,
+    list: &[&dyn Effect],
+    hints: &Hints,
+    subset: &[usize],
+) -> Option<Fit> {
+    let effect = list.last().filter(|e| e.nought().is_none())?;
+    let starts = effect.far_starts(hints);
+    starts
+        .par_iter()
+        .filter_map(|c| fit(frame, list, started(state, c), subset, FitOptions::THOROUGH).ok())
+        .max_by(by_evidence)
+}
+
+fn by_evidence(a: &Fit, b: &Fit) -> std::cmp::Ordering {
+    a.log_evidence.total_cmp(&b.log_evidence)
 }
 
 /// Fit of the accepted effects and one more, the last of `list`.
@@ -155,9 +184,7 @@ fn scout(
 ) -> Option<Fit> {
     let few: Vec<usize> = subset.iter().copied().step_by(subset.len().div_ceil(SCOUTED).max(1)).collect();
     let all: Vec<State> = states.iter().flat_map(|s| starts.iter().map(|c| started(s, c))).collect();
-    all.into_par_iter()
-        .filter_map(|s| fit(frame, list, s, &few, SCOUT).ok())
-        .max_by(|a, b| a.log_evidence.total_cmp(&b.log_evidence))
+    all.into_par_iter().filter_map(|s| fit(frame, list, s, &few, SCOUT).ok()).max_by(by_evidence)
 }
 
 /// Near the base model the first derivatives hold; what is accepted is fitted again.

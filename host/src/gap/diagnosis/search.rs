@@ -24,9 +24,11 @@ const LEAST_SHARE: f64 = 0.03;
 const LEAST_EXCESS: f64 = 0.15;
 /// Energy of an effect of single wheels or recordings relative to their scatter.
 const LATENT_SHARE: f64 = 0.1;
+/// Factor by which further effects must gain more than the first one.
+const FURTHER: f64 = 1.25;
 /// What an effect must take off the residual, RMS relative to the wheels' scatter: the first one named, and further ones,
 /// which may only mend the description of the first.
-const LEAST_GAINED: (f64, f64) = (0.15, 0.3);
+const LEAST_GAINED: (f64, f64) = (0.15, 0.2);
 /// An effect of single recordings also counts when it explains this part of the residual's displacement: slow shifts have no
 /// energy worth mentioning in the acceleration.
 const DISPLACEMENT_SHARE: f64 = 0.5;
@@ -37,8 +39,8 @@ const LATENT_INFLATION: f64 = 2.0;
 /// Evidence counts this much less than it says when it becomes a probability (calibrated on simulated trials).
 const PROBABILITY_SCALE: f64 = 4.0;
 
-/// Gain in log posterior, nats, with which an effect counts although it takes nothing off the residual, because the path had
-/// taken it over: the first one named, and further ones. Reference recordings reach 45.
+/// Gain in log posterior per independent look, nats, with which an effect counts although it takes nothing off the residual,
+/// because the path had taken it over: the first one named, and further ones. Reference recordings reach 45.
 const RELIEVED: (f64, f64) = (75.0, 300.0);
 /// Largest part of the energy of an effect of single wheels that all bogies of a train may share: as much as half of the
 /// wheels give.
@@ -61,6 +63,8 @@ struct Candidate {
     stage: Stage,
     gain: f64,
     misfit_gain: f64,
+    /// The same per independent look.
+    relief: f64,
     full: bool,
     acts_on: ActsOn,
 }
@@ -138,7 +142,7 @@ impl Session<'_> {
                 break;
             }
             self.accept(&list[k..], &mut tried, &mut latent)?;
-            if self.confirm(earlier, list[k].misfit_gain)? {
+            if self.confirm(earlier, list[k].relief)? {
                 self.prune()?;
                 return Ok(true);
             }
@@ -150,12 +154,10 @@ impl Session<'_> {
     fn worth_naming(&self, c: &Candidate, number: usize, misfit: f64) -> bool {
         // A model as good as the scatter of the wheels has nothing to explain, unless the gain comes from elsewhere.
         let excess = self.scatter.0.max(0.0).sqrt();
-        let room =
-            excess > LEAST_EXCESS || c.stage == Stage::Timing || c.misfit_gain > asked(RELIEVED, number);
+        let room = excess > LEAST_EXCESS || c.stage == Stage::Timing || c.relief > asked(RELIEVED, number);
         // What the first effect's description leaves must not be taken for a second one.
-        let (least_gain, least_share) =
-            if number == 0 { (LEAST_GAIN, LEAST_SHARE) } else { (2.0 * LEAST_GAIN, 2.5 * LEAST_SHARE) };
-        c.full && room && c.gain > least_gain && 2.0 * c.misfit_gain > least_share * misfit
+        let least_gain = if number == 0 { LEAST_GAIN } else { FURTHER * LEAST_GAIN };
+        c.full && room && c.gain > least_gain && 2.0 * c.misfit_gain > LEAST_SHARE * misfit
     }
 
     fn candidates(&self, tried: &[Tried<'static>], reference: &Fit, latent: &[Explored]) -> Vec<Candidate> {
@@ -182,6 +184,7 @@ impl Session<'_> {
                 stage: t.effect.stage(),
                 gain: gain / inflation,
                 misfit_gain,
+                relief: misfit_gain / inflation,
                 full,
                 acts_on: ActsOn::Panel,
             }
@@ -191,13 +194,16 @@ impl Session<'_> {
             let of_wheels = e.acts_on() == ActsOn::Wheels;
             let full = (share > LATENT_SHARE || *moved > DISPLACEMENT_SHARE)
                 && !(of_wheels && f.as_ref().is_some_and(|f| self.shared_by_bogies(f) > MOST_SHARED));
-            let gain = f.as_ref().map_or(0.0, |f| f.gain) / LATENT_INFLATION;
+            // What a lost model leaves over is no wheel's; elsewhere the mean says nothing of single wheels.
+            let doubt = LATENT_INFLATION * if reference.lost() { inflation } else { 1.0 };
+            let gain = f.as_ref().map_or(0.0, |f| f.gain) / doubt;
             let gain = if full { gain } else { gain.min(0.5 * LEAST_GAIN) };
             Candidate {
                 name: e.name(),
                 stage: e.stage(),
                 gain,
                 misfit_gain: f64::INFINITY,
+                relief: f64::INFINITY,
                 full,
                 acts_on: e.acts_on(),
             }
@@ -309,7 +315,7 @@ impl Session<'_> {
     }
 
     /// Whether the effect accepted last takes enough off the residual; if not, it is taken back.
-    fn confirm(&mut self, earlier: &Confirmed, misfit_gain: f64) -> Result<bool, GapError> {
+    fn confirm(&mut self, earlier: &Confirmed, relief: f64) -> Result<bool, GapError> {
         let [acceleration, displacement, own] = self.current_squares()?;
         let Some(last) = self.named.last_mut() else { return Ok(true) };
         let part = |before: f64, now: f64, floor: f64| {
@@ -322,7 +328,7 @@ impl Session<'_> {
         if last.gained >= asked(LEAST_GAINED, earlier.named)
             || last.stage == Stage::Timing
             || self.accepted.len() == earlier.accepted
-            || misfit_gain > asked(RELIEVED, earlier.named)
+            || relief > asked(RELIEVED, earlier.named)
         {
             return Ok(true);
         }

@@ -223,11 +223,14 @@ fn common_force(
         temperature: TEMPERATURE,
     };
     let some = spread_out(passages, HYPER_PASSAGES);
-    let prior = refine(&start, &FORCE, &|prior| SiteModel { prior, ..model.clone() }.log_evidence(&some))?;
+    let prepared = model.prepared(&some)?;
+    let evidence = |prior: &Prior| SiteModel { prior, ..model.clone() }.log_evidence(&prepared);
+    let prior = refine(&start, &FORCE, &evidence)?;
+    drop(prepared);
     progress.step();
     // The profile that a few passages show is good enough to linearise about.
     let model = SiteModel { prior: &prior, ..model };
-    let rough = model.posterior(&some)?.profile;
+    let rough = model.posterior_profile(&some)?;
     progress.step();
     let all = SiteModel { profile: &rough, ..model }.posterior(passages)?;
     realign(passages, &all);

@@ -118,7 +118,7 @@ impl Spread {
             .unwrap_or(0);
         let position_m = positions_m(site, index);
         let sd_n = kinds(&site.pattern)
-            .iter()
+            .par_iter()
             .map(|kind| sds_of(site, kind, index, &position_m))
             .collect::<Result<_, _>>()?;
         Ok(Self { position_m, sd_n })

@@ -202,7 +202,7 @@ impl Train {
             .par_iter()
             .map(|axle| {
                 let roots = &root_n[usize::from(!axle.class.leading)];
-                [0, 1].map(|rail: usize| &axle.kernels[rail] * &roots[rail])
+                [0, 1].map(|rail: usize| self.wheel.shaped(&axle.kernels[rail], &roots[rail]))
             })
             .collect();
         Ok((Arc::new(root_n), Arc::new(shaped)))

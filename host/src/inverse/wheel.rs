@@ -114,6 +114,14 @@ impl Wheel {
         Self { first_sample, position_m, basis, mean_n, moved_n, own, rate_hz, speed_m_s }
     }
 
+    /// kernel · root, with a factor of [`Self::roots_n`].
+    pub(super) fn shaped(&self, kernel: &Mat<f64>, root_n: &Mat<f64>) -> Mat<f64> {
+        match self.own {
+            Own::Force => times_lower(kernel.as_ref(), root_n),
+            Own::Irregularity(_) => kernel * root_n,
+        }
+    }
+
     /// Factors of the covariance of the wheel's own deviation, N: `[leading, trailing][crossing, stock]`. `None` if a
     /// covariance is not finite.
     pub(super) fn roots_n(&self, prior: &Prior) -> Option<Contacts> {
@@ -152,7 +160,7 @@ fn mean_of(motion: &Motion, irregularity_m: &Contacts) -> Contacts {
 }
 
 /// Product with a lower triangular matrix.
-pub(super) fn times_lower(matrix: MatRef<'_, f64>, lower: &Mat<f64>) -> Mat<f64> {
+fn times_lower(matrix: MatRef<'_, f64>, lower: &Mat<f64>) -> Mat<f64> {
     let mut out = Mat::zeros(matrix.nrows(), lower.ncols());
     triangular::matmul(
         &mut out,

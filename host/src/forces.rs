@@ -1,10 +1,13 @@
 //! Contact force of every wheelset, with intervals that hold what is not known of forces, noise, ballast and positions.
 
+use std::sync::Arc;
+
 use faer::Mat;
 use rayon::prelude::*;
 
 use crate::identify::IdentifiedSite;
-use crate::inverse::hierarchy::{GroupKind, kinds};
+use crate::inverse::hierarchy::{GroupKind, GroupOffsets, kinds};
+use crate::inverse::train::Train;
 use crate::inverse::{Estimator, Excitation, GroupGeometry, InverseError, Running, TrackModel};
 use crate::irregularity::on_grid;
 use crate::signal::mean;
@@ -46,13 +49,17 @@ fn model<'s>(site: &'s IdentifiedSite) -> TrackModel<'s> {
     TrackModel { greens: &site.greens, excitation: Excitation::Force }
 }
 
+fn running(site: &IdentifiedSite, index: usize) -> Running {
+    Running {
+        direction: site.direction,
+        speed_m_s: site.timings[index].speed_m_s,
+        static_force_n: site.static_force_n[index],
+    }
+}
+
 fn geometry<'k>(site: &IdentifiedSite, kind: &'k GroupKind, index: usize) -> GroupGeometry<'k> {
     GroupGeometry {
-        running: Running {
-            direction: site.direction,
-            speed_m_s: site.timings[index].speed_m_s,
-            static_force_n: site.static_force_n[index],
-        },
+        running: running(site, index),
         axle_offset_m: &kind.offsets.own,
         train_offset_m: &kind.offsets.train,
     }
@@ -73,11 +80,13 @@ pub fn wheel_forces(
 ) -> Result<Vec<WheelForce>, InverseError> {
     let position_m = positions_m(site, index);
     let mut forces = Vec::new();
-    for (k, kind) in kinds(&site.pattern).iter().enumerate() {
-        let estimator =
-            Estimator::new(&model(site), &geometry(site, kind, index), &site.prior, &site.profile)?;
+    let kinds = kinds(&site.pattern);
+    let offsets: Vec<&GroupOffsets> = kinds.iter().map(|k| &k.offsets).collect();
+    let train = Train::new(&model(site), &[], running(site, index), &offsets, &site.prior, &site.profile)?;
+    let estimators = Arc::new(train).estimators(&site.prior)?;
+    for (k, (kind, estimator)) in kinds.iter().zip(&estimators).enumerate() {
         for group in &kind.groups {
-            let window = site.window(index, &estimator, group.first);
+            let window = site.window(index, estimator, group.first);
             for (axle, force_n) in
                 estimator.forces_n(&window, &position_m, LOW_PASS_HZ).into_iter().enumerate()
             {
@@ -109,7 +118,7 @@ impl Spread {
             .unwrap_or(0);
         let position_m = positions_m(site, index);
         let sd_n = kinds(&site.pattern)
-            .iter()
+            .par_iter()
             .map(|kind| sds_of(site, kind, index, &position_m))
             .collect::<Result<_, _>>()?;
         Ok(Self { position_m, sd_n })

@@ -1,5 +1,7 @@
 //! A site from recordings to calibrated model: speeds, ballast, axle times, common force profile.
 
+use rayon::prelude::*;
+
 use crate::ballast::BallastParameters;
 use crate::ballast::evidence::{Calibration, DIFFERENCE, EvidenceFit, EvidenceProblem, TEMPERATURE, realign};
 use crate::ballast::quasi_static::{QuasiStatic, QuasiStaticFit};
@@ -97,7 +99,7 @@ pub fn identify<'s>(site: &'s Site, progress: &dyn Progress) -> Result<Identifie
     let pattern = AxlePattern::of_vehicle(&crossing.vehicle);
     progress.begin("speed of the trains", site.passages.len() as u64);
     let recordings: Vec<Recording> =
-        site.passages.iter().map(|p| Recording::new(p, &crossing.sensor)).collect();
+        site.passages.par_iter().map(|p| Recording::new(p, &crossing.sensor)).collect();
     let speeds = speeds(site, &recordings, &pattern, progress)?;
     let static_force_n: Vec<f64> = site
         .passages
@@ -118,9 +120,12 @@ pub fn identify<'s>(site: &'s Site, progress: &dyn Progress) -> Result<Identifie
         .collect();
     let problem = EvidenceProblem::new(&track, direction, &pattern, &crossing.vehicle);
     let (calibration, ballast) = calibrate(&problem, &quasi_static, &mut passages, progress)?;
-    let greens = wide_greens(&track, &ballast.parameters);
-    let nearby_greens =
-        [0, 1, 2].map(|k| (wide_greens(&track, &ballast.parameters.moved(k, DIFFERENCE[k])), DIFFERENCE[k]));
+    let nearby = |k: usize| (wide_greens(&track, &ballast.parameters.moved(k, DIFFERENCE[k])), DIFFERENCE[k]);
+    let ((greens, first), (second, third)) = rayon::join(
+        || rayon::join(|| wide_greens(&track, &ballast.parameters), || nearby(0)),
+        || rayon::join(|| nearby(1), || nearby(2)),
+    );
+    let nearby_greens = [first, second, third];
     let (prior, posterior) = common_force(&greens, direction, &pattern, &mut passages, progress)?;
     let timings = passages.iter().map(|p| p.timing).collect();
     Ok(IdentifiedSite {
@@ -160,7 +165,7 @@ fn speeds(
     progress: &dyn Progress,
 ) -> Result<Vec<f64>, IdentifyError> {
     recordings
-        .iter()
+        .par_iter()
         .zip(&site.passages)
         .map(|(recording, passage)| {
             progress.step();
@@ -223,11 +228,14 @@ fn common_force(
         temperature: TEMPERATURE,
     };
     let some = spread_out(passages, HYPER_PASSAGES);
-    let prior = refine(&start, &FORCE, &|prior| SiteModel { prior, ..model.clone() }.log_evidence(&some))?;
+    let prepared = model.prepared(&some)?;
+    let evidence = |prior: &Prior| SiteModel { prior, ..model.clone() }.log_evidence(&prepared);
+    let prior = refine(&start, &FORCE, &evidence)?;
+    drop(prepared);
     progress.step();
     // The profile that a few passages show is good enough to linearise about.
     let model = SiteModel { prior: &prior, ..model };
-    let rough = model.posterior(&some)?.profile;
+    let rough = model.posterior_profile(&some)?;
     progress.step();
     let all = SiteModel { profile: &rough, ..model }.posterior(passages)?;
     realign(passages, &all);

@@ -156,9 +156,9 @@ impl Motion<'_> {
         })
     }
 
-    /// Force deviation of every contact for irregularities under that contact alone, `[crossing, stock]`.
-    pub fn solve_alone(&self, irregularity_m: &[Mat<f64>; 2]) -> Contacts {
-        contacts(|axle, rail| -(self.between([axle, rail], [axle, rail]) * &irregularity_m[rail]))
+    /// Force deviation of every contact per irregularity under that contact alone, N/m.
+    pub fn alone(&self) -> Contacts {
+        contacts(|axle, rail| -self.between([axle, rail], [axle, rail]))
     }
 
     /// Force deviations under the track of `other`, which is so near this one that its compliance may stand in for the

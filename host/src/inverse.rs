@@ -10,7 +10,9 @@ mod estimator;
 pub mod hierarchy;
 pub mod hyper;
 mod prior;
+mod prior_root;
 mod profile;
+pub mod train;
 mod wheel;
 
 pub use estimator::{Estimator, GroupGeometry, InverseError};

@@ -1,5 +1,7 @@
 //! The whole chain: site in, analysis or kernel package out.
 
+use rayon::prelude::*;
+
 use crate::analysis::{Analysis, BallastEstimate, Interval, PassageResult, WheelsetResult};
 use crate::ballast::BallastParameters;
 use crate::forces::{LOW_PASS_HZ, WheelForce, all_wheel_forces};
@@ -81,6 +83,7 @@ pub fn evaluate(identified: &IdentifiedSite, progress: &dyn Progress) -> Result<
     let displacement_greens = displacement_greens(identified);
     progress.begin("irregularity and displacement", site.passages.len() as u64);
     let passages: Vec<PassageResult> = (0..site.passages.len())
+        .into_par_iter()
         .map(|i| {
             progress.step();
             passage_result(identified, i, &forces[i], &rail, &displacement_greens, &grid)

@@ -173,9 +173,9 @@ impl<'a> EvidenceProblem<'a> {
     /// Prior whose hyper-parameters the evidence prefers, all else as in `state`.
     pub fn refined(&self, state: &Calibration, passages: &[SitePassage]) -> Result<Prior, InverseError> {
         let model = LowModel::new(self, &state.ballast, state.prior.half_m);
-        let evidence = |prior: &Prior| {
-            self.site_model(&model, Vec::new(), prior, &state.irregularity).log_evidence(passages)
-        };
+        let site = self.site_model(&model, Vec::new(), &state.prior, &state.irregularity);
+        let prepared = site.prepared(passages)?;
+        let evidence = |prior: &Prior| SiteModel { prior, ..site.clone() }.log_evidence(&prepared);
         refine(&state.prior, &IRREGULARITY, &evidence)
     }
 

@@ -7,6 +7,7 @@
 use faer::c64;
 use levenberg_marquardt::{LeastSquaresProblem, LevenbergMarquardt};
 use nalgebra::{DMatrix, DVector, Dyn, Owned, Vector3};
+use rayon::prelude::*;
 
 use super::BallastParameters;
 use crate::reconstruct::Recording;
@@ -87,7 +88,7 @@ impl<'a> QuasiStatic<'a> {
         let frequency_hz: Vec<f64> =
             (1..=lines).map(|k| k as f64 * LINE_HZ).filter(|f| *f >= LOWEST_HZ).collect();
         let passages = recordings
-            .iter()
+            .par_iter()
             .map(|(recording, speed, force)| prepare(recording, *speed, *force, pattern, &frequency_hz))
             .collect();
         Self { track, direction, frequency_hz, passages }
@@ -96,7 +97,7 @@ impl<'a> QuasiStatic<'a> {
     /// Times of the first axles for given ballast: global search, then Newton steps on the correlation.
     pub fn align(&self, ballast: &BallastParameters) -> Vec<f64> {
         let models = self.models(ballast);
-        self.passages.iter().zip(&models).map(|(p, m)| self.search_time(p, m)).collect()
+        self.passages.par_iter().zip(&models).map(|(p, m)| self.search_time(p, m)).collect()
     }
 
     /// Fits the three parameters, times of the axles included, from `start`.
@@ -121,10 +122,16 @@ impl<'a> QuasiStatic<'a> {
     fn models(&self, ballast: &BallastParameters) -> Vec<Vec<c64>> {
         let distribution = ballast.distribution(self.track.sleeper_x_m.len(), self.track.sensor_sleeper);
         let receptance = self.track.sensor_receptance(&self.frequency_hz, &distribution);
+        self.models_of(&receptance)
+    }
+
+    /// Models of all passages on a track of given receptance, or their derivatives for one of its derivatives.
+    fn models_of(&self, receptance: &SensorReceptance) -> Vec<Vec<c64>> {
         let profile: Vec<Vec<c64>> = (0..self.frequency_hz.len())
+            .into_par_iter()
             .map(|k| self.track.both_rails_on_grid(&receptance.crossing[k], &receptance.stock[k], STEP_M))
             .collect();
-        self.passages.iter().map(|p| self.model_of(p, &profile)).collect()
+        self.passages.par_iter().map(|p| self.model_of(p, &profile)).collect()
     }
 
     /// Models as [`Self::models`] gives them, and their derivatives by (ln p1, ln p2, p3).
@@ -135,13 +142,7 @@ impl<'a> QuasiStatic<'a> {
             &ballast.distribution(n, sensor),
             &ballast.slopes(n, sensor),
         );
-        let models = |r: &SensorReceptance| -> Vec<Vec<c64>> {
-            let profile: Vec<Vec<c64>> = (0..self.frequency_hz.len())
-                .map(|k| self.track.both_rails_on_grid(&r.crossing[k], &r.stock[k], STEP_M))
-                .collect();
-            self.passages.iter().map(|p| self.model_of(p, &profile)).collect()
-        };
-        [models(&value), models(&slopes[0]), models(&slopes[1]), models(&slopes[2])]
+        [&value, &slopes[0], &slopes[1], &slopes[2]].map(|r| self.models_of(r))
     }
 
     /// Derivatives of [`Self::residuals`] by (ln p1, ln p2, p3), each with its number. The axle times follow the
@@ -187,11 +188,13 @@ impl<'a> QuasiStatic<'a> {
             .zip(&passage.pattern)
             .map(|((f, row), pattern)| {
                 let turn = -std::f64::consts::TAU * f * self.direction / passage.speed_m_s;
+                let (mut phasor, advance) = (unit(turn * first), unit(turn * STEP_M));
                 let mut sum = c64::new(0.0, 0.0);
                 for (i, h) in row.iter().enumerate() {
                     let x = first + i as f64 * STEP_M;
                     let weight = ((FADE_M[1] - x.abs()) / (FADE_M[1] - FADE_M[0])).clamp(0.0, 1.0);
-                    sum += h * unit(turn * x) * weight;
+                    sum += h * phasor * weight;
+                    phasor *= advance;
                 }
                 sum * scale * pattern
             })

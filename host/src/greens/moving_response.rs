@@ -16,9 +16,12 @@ pub struct RailGreens {
     first_x_m: f64,
     step_m: f64,
     n_nodes: usize,
-    /// `[lag + LEAD][loaded][read]`, m/(N s).
+    /// `[loaded][read][lag + LEAD]`, m/(N s).
     response: Vec<f64>,
 }
+
+/// Impulse responses of every pair of nodes i ≤ j, read at i and loaded at j.
+type PairSeries = Vec<Vec<f64>>;
 
 /// Acausal samples kept: a zero-phase band limit rings before the impulse.
 const LEAD: usize = 16;
@@ -33,19 +36,15 @@ impl RailGreens {
         half_m: f64,
         sampling: GreensSampling,
     ) -> [[Self; 2]; 2] {
-        let last_node = track.node_x_m.len() - 1;
-        let within = |x: f64| x.abs() <= half_m + 1.01 * track.step_m;
-        let first = track.node_x_m.iter().position(|x| within(*x)).unwrap_or(0);
-        let last = track.node_x_m.iter().rposition(|x| within(*x)).unwrap_or(last_node);
-        let receptance = track.rail_receptances(&sampling.frequencies_hz(), ballast_n_m2, first, last);
-        let n_nodes = last - first + 1;
+        let nodes = Nodes::within(track, half_m);
+        let receptance = nodes.receptance(track, ballast_n_m2, sampling);
+        let series = [0, 1].map(|read: usize| {
+            [0, 1].map(|loaded: usize| pair_series(&receptance, [read, loaded], nodes.len(), sampling))
+        });
+        // By reciprocity with the rails exchanged, read at j and loaded at i.
         [0, 1].map(|read: usize| {
-            [0, 1].map(|loaded: usize| Self {
-                sampling,
-                first_x_m: track.node_x_m[first],
-                step_m: track.step_m,
-                n_nodes,
-                response: impulse_responses(&receptance, [read, loaded], n_nodes, sampling),
+            [0, 1].map(|loaded: usize| {
+                nodes.greens(track, sampling, &series[read][loaded], &series[loaded][read])
             })
         })
     }
@@ -57,8 +56,10 @@ impl RailGreens {
         half_m: f64,
         sampling: GreensSampling,
     ) -> Self {
-        let [[crossing, _], _] = Self::of_both_rails(track, ballast_n_m2, half_m, sampling);
-        crossing
+        let nodes = Nodes::within(track, half_m);
+        let receptance = nodes.receptance(track, ballast_n_m2, sampling);
+        let series = pair_series(&receptance, [0, 0], nodes.len(), sampling);
+        nodes.greens(track, sampling, &series, &series)
     }
 
     /// Kernel of the moving response: deflection at the wheel (m) per force (N) at the same positions x, one per time
@@ -68,23 +69,23 @@ impl RailGreens {
         let n = self.n_nodes;
         let lags = self.response.len() / (n * n);
         let dt = 1.0 / self.sampling.rate_hz;
-        Mat::from_fn(position_m.len(), position_m.len(), |k, j| {
-            let lag = k + LEAD;
-            if lag < j || lag - j >= lags {
-                return 0.0;
+        let mut out = Mat::zeros(position_m.len(), position_m.len());
+        for (j, at_load) in weights.iter().enumerate() {
+            let Some((loaded, wl)) = at_load else { continue };
+            let first = j.saturating_sub(LEAD);
+            let column = out.col_as_slice_mut(j).iter_mut().zip(&weights).enumerate().skip(first);
+            for (k, (value, at_read)) in column.take(j + lags - LEAD - first) {
+                let Some((read, wr)) = at_read else { continue };
+                let mut sum = 0.0;
+                for (a, l) in wl.iter().enumerate() {
+                    let series = &self.response[((loaded + a) * n + read) * lags..];
+                    let at = |b: usize| series[b * lags + k + LEAD - j];
+                    sum += l * (wr[0] * at(0) + wr[1] * at(1) + wr[2] * at(2) + wr[3] * at(3));
+                }
+                *value = sum * dt;
             }
-            let (Some((read, wr)), Some((loaded, wl))) = (&weights[k], &weights[j]) else { return 0.0 };
-            let at_lag = &self.response[(lag - j) * n * n..(lag - j + 1) * n * n];
-            let sum: f64 = wl
-                .iter()
-                .enumerate()
-                .map(|(a, l)| {
-                    let row = &at_lag[(loaded + a) * n + read..];
-                    l * (wr[0] * row[0] + wr[1] * row[1] + wr[2] * row[2] + wr[3] * row[3])
-                })
-                .sum();
-            sum * dt
-        })
+        }
+        out
     }
 
     /// Cubic Lagrange weights of the four nodes around `x_m`; `None` outside the nodes.
@@ -105,41 +106,84 @@ impl RailGreens {
     }
 }
 
-/// `[lag + LEAD][loaded][read]` from the upper triangles of the receptances of every frequency.
-fn impulse_responses(
+/// Neighbouring rail nodes around the crossing.
+struct Nodes {
+    first: usize,
+    last: usize,
+}
+
+impl Nodes {
+    fn within(track: &Track, half_m: f64) -> Self {
+        let within = |x: f64| x.abs() <= half_m + 1.01 * track.step_m;
+        let first = track.node_x_m.iter().position(|x| within(*x)).unwrap_or(0);
+        let last = track.node_x_m.iter().rposition(|x| within(*x));
+        Self { first, last: last.unwrap_or(track.node_x_m.len() - 1) }
+    }
+
+    fn len(&self) -> usize {
+        self.last - self.first + 1
+    }
+
+    fn receptance(
+        &self,
+        track: &Track,
+        ballast_n_m2: &[f64],
+        sampling: GreensSampling,
+    ) -> Vec<Vec<Vec<[[c64; 2]; 2]>>> {
+        track.rail_receptances(&sampling.frequencies_hz(), ballast_n_m2, self.first, self.last)
+    }
+
+    /// From the responses of all pairs, and those with the places of load and reading exchanged.
+    fn greens(
+        &self,
+        track: &Track,
+        sampling: GreensSampling,
+        there: &PairSeries,
+        back: &PairSeries,
+    ) -> RailGreens {
+        let n = self.len();
+        let lags = there.first().map_or(0, Vec::len);
+        let mut response = vec![0.0; lags * n * n];
+        for ((i, j), (there, back)) in pairs(n).zip(there.iter().zip(back)) {
+            let mut put = |loaded: usize, read: usize, series: &[f64]| {
+                let start = (loaded * n + read) * lags;
+                response[start..start + lags].copy_from_slice(series);
+            };
+            put(i, j, back);
+            put(j, i, there);
+        }
+        RailGreens {
+            sampling,
+            first_x_m: track.node_x_m[self.first],
+            step_m: track.step_m,
+            n_nodes: n,
+            response,
+        }
+    }
+}
+
+fn pairs(n: usize) -> impl Iterator<Item = (usize, usize)> {
+    (0..n).flat_map(move |i| (i..n).map(move |j| (i, j)))
+}
+
+/// From the upper triangles of the receptances of every frequency, from lag −[`LEAD`] on.
+fn pair_series(
     receptance: &[Vec<Vec<[[c64; 2]; 2]>>],
     [read, loaded]: [usize; 2],
     n: usize,
     sampling: GreensSampling,
-) -> Vec<f64> {
+) -> PairSeries {
     let lags = LEAD + (MEMORY_S * sampling.rate_hz) as usize;
     let [pass, stop] = sampling.band_hz;
     let gain: Vec<f64> =
         sampling.frequencies_hz().iter().map(|f| taper(*f, pass, stop) * sampling.rate_hz).collect();
-    let series = |i: usize, j: usize, [read, loaded]: [usize; 2]| {
+    let series = |(i, j): &(usize, usize)| {
         let mut spectrum = vec![c64::new(0.0, 0.0); sampling.len / 2 + 1];
         for ((value, rows), g) in spectrum.iter_mut().zip(receptance).zip(&gain) {
-            *value = rows[i][j - i][read][loaded] * *g;
+            *value = rows[*i][j - i][read][loaded] * *g;
         }
         let full = irfft(&spectrum, sampling.len);
-        (0..lags).map(|k| full[(k + sampling.len - LEAD) % sampling.len]).collect::<Vec<f64>>()
+        (0..lags).map(|k| full[(k + sampling.len - LEAD) % sampling.len]).collect()
     };
-    let pairs: Vec<(usize, usize)> = (0..n).flat_map(|i| (i..n).map(move |j| (i, j))).collect();
-    // Read at i and loaded at j; and, by reciprocity with the rails exchanged, read at j and loaded at i.
-    let both: Vec<[Vec<f64>; 2]> = pairs
-        .par_iter()
-        .map(|(i, j)| {
-            let there = series(*i, *j, [read, loaded]);
-            let back = if read == loaded { there.clone() } else { series(*i, *j, [loaded, read]) };
-            [there, back]
-        })
-        .collect();
-    let mut response = vec![0.0; lags * n * n];
-    for ((i, j), [there, back]) in pairs.iter().zip(both) {
-        for lag in 0..lags {
-            response[(lag * n + i) * n + j] = back[lag];
-            response[(lag * n + j) * n + i] = there[lag];
-        }
-    }
-    response
+    pairs(n).collect::<Vec<_>>().par_iter().map(series).collect()
 }

@@ -1,18 +1,19 @@
 //! The linear-Gaussian estimator of one kind of axle group at one speed.
 
+use std::sync::Arc;
+
 use faer::linalg::matmul::{matmul, triangular};
 use faer::linalg::solvers::Llt;
 use faer::linalg::solvers::Solve as _;
 use faer::{Accum, Mat, MatRef, Par};
 
 use super::Prior;
-use super::profile::{CommonProfile, WheelClass};
-use super::wheel::{Basis, Means, Running, SIDES, TrackModel, Wheel};
-use crate::greens::moving::{PassingResponse, own_clock_kernel};
+use super::hierarchy::GroupOffsets;
+use super::profile::{CommonProfile, WheelClass, add_scaled};
+use super::train::{Axle, Group, Train};
+use super::wheel::{Basis, Running, SIDES, TrackModel};
+use crate::interaction::Contacts;
 use crate::track::Side;
-
-/// Time after the last wheel has left the reach during which its response is still used, seconds.
-const DECAY_S: f64 = 0.03;
 
 /// Why an estimator could not be built.
 #[derive(Debug, thiserror::Error, PartialEq)]
@@ -53,23 +54,18 @@ pub struct Estimator {
     pub expected_m_s2: Vec<f64>,
     /// Its time derivative, m/s³.
     pub expected_slope_m_s3: Vec<f64>,
-    running: Running,
-    prior: Prior,
+    load_sd: f64,
     factor: Llt<f64>,
     log_det_half: f64,
-    wheel: Wheel,
-    axles: Vec<AxleModel>,
-    /// Window per unit of the common profile, window length × profile entries.
-    profile_response: Mat<f64>,
+    train: Arc<Train>,
+    group: usize,
+    /// Factors of the covariance of a wheel's own deviation, N.
+    root_n: Arc<Contacts>,
+    shaped: Arc<Vec<Shaped>>,
 }
 
-struct AxleModel {
-    class: WheelClass,
-    /// kernel · root: window per whitened force deviation of the crossing side.
-    shaped: Mat<f64>,
-    /// Window of the wheel's static force.
-    static_m_s2: Vec<f64>,
-}
+/// kernel · root of an axle: window per whitened force deviation, `[crossing, stock]`.
+pub(super) type Shaped = [Mat<f64>; 2];
 
 /// Linear map from a window to the force of one axle on a grid: force = base + gain · (window − expected).
 pub struct AxleGain {
@@ -115,53 +111,48 @@ impl Estimator {
         prior: &Prior,
         common: &CommonProfile,
     ) -> Result<(Self, Vec<Vec<f64>>), InverseError> {
-        let running = geometry.running;
-        if !(running.speed_m_s.is_finite() && running.speed_m_s > 0.0) {
-            return Err(InverseError::Speed(running.speed_m_s));
-        }
-        let rate_hz = model.greens.sampling.rate_hz;
-        let window = Window::of(geometry, prior, rate_hz);
+        let offsets =
+            GroupOffsets { own: geometry.axle_offset_m.to_vec(), train: geometry.train_offset_m.to_vec() };
+        let train = Arc::new(Train::new(model, moved, geometry.running, &[&offsets], prior, common)?);
+        let (root_n, shaped) = train.shaped(prior)?;
+        let estimator = Self::of_group(&train, 0, prior, &root_n, &shaped)?;
+        Ok((estimator, train.groups[0].moved_m_s2.clone()))
+    }
+
+    /// Of a group of a train, with the factors of the wheels' own deviations and what the sensor shows of them.
+    pub(super) fn of_group(
+        train: &Arc<Train>,
+        group: usize,
+        prior: &Prior,
+        root_n: &Arc<Contacts>,
+        shaped: &Arc<Vec<Shaped>>,
+    ) -> Result<Self, InverseError> {
+        let Group { window, axles, expected_m_s2, expected_slope_m_s3, .. } = &train.groups[group];
         let len = window.len;
-        let bad = || InverseError::Covariance { len, noise_m_s2: prior.noise_m_s2 };
-        let (wheel, moved_n) = Wheel::new(model, moved, &running, prior, common).ok_or_else(bad)?;
-        let clock = (wheel.first_sample, wheel.position_m.as_slice());
-        let expectation = Expectation::new(model, &running, window, clock, &wheel.mean_n);
-        let moved_m_s2 = moved
-            .iter()
-            .zip(&moved_n)
-            .map(|(m, mean_n)| {
-                Expectation::new(m, &running, window, clock, mean_n).window(geometry, common, rate_hz)
-            })
-            .collect();
         let mut covariance = noise_covariance(prior, len);
-        let mut profile_response = Mat::zeros(len, common.grids.len());
-        let mut axles = Vec::with_capacity(geometry.axle_offset_m.len());
-        for (i, offset) in geometry.axle_offset_m.iter().enumerate() {
-            let class = common.grids.class(running.speed_m_s, i);
-            let time_s = window.time_at_origin_s(*offset, &running, rate_hz);
-            let shaped =
-                add_axle(model, &wheel, common, class, time_s, &mut covariance, &mut profile_response);
-            let static_m_s2 = expectation.standing.window(&[time_s], len);
-            add_outer(&mut covariance, &static_m_s2, prior.load_sd.powi(2));
-            axles.push(AxleModel { class, shaped, static_m_s2 });
+        for axle in axles {
+            for rail in &shaped[*axle] {
+                add_square(&mut covariance, rail.subrows(0, len));
+            }
+            add_outer(&mut covariance, &train.axles[*axle].static_m_s2[..len], prior.load_sd.powi(2));
         }
-        let factor = covariance.llt(faer::Side::Lower).map_err(|_| bad())?;
+        let bad = |_| InverseError::Covariance { len, noise_m_s2: prior.noise_m_s2 };
+        let factor = covariance.llt(faer::Side::Lower).map_err(bad)?;
         let l = factor.L();
         let log_det_half = (0..len).map(|i| l[(i, i)].ln()).sum();
-        let estimator = Self {
-            rate_hz,
+        Ok(Self {
+            rate_hz: train.rate_hz,
             before: window.before,
-            expected_m_s2: expectation.window(geometry, common, rate_hz),
-            expected_slope_m_s3: expectation.sum(geometry, common, rate_hz, PassingResponse::slope),
-            running,
-            prior: prior.clone(),
+            expected_m_s2: expected_m_s2.clone(),
+            expected_slope_m_s3: expected_slope_m_s3.clone(),
+            load_sd: prior.load_sd,
             factor,
             log_det_half,
-            wheel,
-            axles,
-            profile_response,
-        };
-        Ok((estimator, moved_m_s2))
+            train: Arc::clone(train),
+            group,
+            root_n: Arc::clone(root_n),
+            shaped: Arc::clone(shaped),
+        })
     }
 
     /// Window length in samples.
@@ -188,11 +179,6 @@ impl Estimator {
         self.log_det_half
     }
 
-    /// Response of the window to the common profile: window length × profile entries, m/s² per unit of the profile.
-    pub fn profile_response(&self) -> MatRef<'_, f64> {
-        self.profile_response.as_ref()
-    }
-
     /// Lower Cholesky factor of the window's covariance.
     pub fn covariance_root(&self) -> MatRef<'_, f64> {
         self.factor.L()
@@ -214,37 +200,54 @@ impl Estimator {
         let residual = Mat::from_fn(n, 1, |i, _| window_m_s2[i] - self.expected_m_s2[i]);
         let solved = self.factor.solve(&residual);
         let low_pass = self.low_pass(grid_m, low_pass_hz);
-        self.axles
-            .iter()
-            .map(|axle| {
-                let root = &self.wheel.root_n[usize::from(!axle.class.leading)][0];
-                let mut deviation = root * (axle.shaped.transpose() * &solved);
-                for (i, mean) in self.wheel.mean_n[usize::from(!axle.class.leading)][0].iter().enumerate() {
-                    deviation[(i, 0)] += mean;
-                }
-                let load: f64 = (0..n).map(|k| axle.static_m_s2[k] * solved[(k, 0)]).sum();
-                let static_n = self.running.static_force_n * (1.0 + self.prior.load_sd.powi(2) * load);
-                let low = &low_pass * &deviation;
-                (0..grid_m.len()).map(|i| static_n + low[(i, 0)]).collect()
-            })
-            .collect()
+        let forces = self.axles().map(|(axle, shaped)| {
+            let which = usize::from(!axle.class.leading);
+            let mut deviation = &self.root_n[which][0] * (shaped.transpose() * &solved);
+            for (i, mean) in self.train.wheel.mean_n[which][0].iter().enumerate() {
+                deviation[(i, 0)] += mean;
+            }
+            let load: f64 = (0..n).map(|k| axle.static_m_s2[k] * solved[(k, 0)]).sum();
+            let static_n = self.train.running.static_force_n * (1.0 + self.load_sd.powi(2) * load);
+            let low = &low_pass * &deviation;
+            (0..grid_m.len()).map(|i| static_n + low[(i, 0)]).collect()
+        });
+        forces.collect()
+    }
+
+    /// Axles of the group, with the windows per whitened force deviation of the crossing side.
+    fn axles(&self) -> impl Iterator<Item = (&Axle, MatRef<'_, f64>)> {
+        let n = self.len();
+        let axles = self.train.groups[self.group].axles.iter();
+        axles.map(move |a| (&self.train.axles[*a], self.shaped[*a][0].subrows(0, n)))
     }
 
     /// Linear maps to the force of every axle, low-passed at `low_pass_hz` (brick wall), at positions `grid_m`.
     pub fn gains(&self, grid_m: &[f64], low_pass_hz: f64, common: &CommonProfile) -> Vec<AxleGain> {
         let low_pass = self.low_pass(grid_m, low_pass_hz);
-        self.axles.iter().map(|axle| self.axle_gain(axle, &low_pass, common)).collect()
+        // Window per entry of the joint vector.
+        let response = self.train.shapes.expanded_columns(self.train.response(self.group).as_ref());
+        let gain = |(axle, shaped)| self.axle_gain(axle, shaped, &low_pass, &response, common);
+        self.axles().map(gain).collect()
     }
 
-    fn axle_gain(&self, axle: &AxleModel, low_pass: &Mat<f64>, common: &CommonProfile) -> AxleGain {
-        let mean_n = &self.wheel.mean_n[usize::from(!axle.class.leading)][0];
+    fn axle_gain(
+        &self,
+        axle: &Axle,
+        shaped: MatRef<'_, f64>,
+        low_pass: &Mat<f64>,
+        response: &Mat<f64>,
+        common: &CommonProfile,
+    ) -> AxleGain {
+        let which = usize::from(!axle.class.leading);
+        let wheel = &self.train.wheel;
+        let mean_n = &wheel.mean_n[which][0];
         let (m, n, g) = (mean_n.len(), self.len(), low_pass.nrows());
-        let whitened = low_pass * &self.wheel.root_n[usize::from(!axle.class.leading)][0];
-        let load_variance = self.prior.load_sd.powi(2);
-        let static_force_n = self.running.static_force_n;
+        let whitened = low_pass * &self.root_n[which][0];
+        let load_variance = self.load_sd.powi(2);
+        let static_force_n = self.train.running.static_force_n;
         // Covariance between the forces on the grid and the window.
         let mut cross = Mat::from_fn(g, n, |_, k| load_variance * static_force_n * axle.static_m_s2[k]);
-        matmul(&mut cross, Accum::Add, &whitened, axle.shaped.transpose(), 1.0, Par::Seq);
+        matmul(&mut cross, Accum::Add, &whitened, shaped.transpose(), 1.0, Par::Seq);
         let gain = self.factor.solve(cross.transpose()).transpose().to_owned();
         let base_n = (0..g)
             .map(|i| static_force_n + (0..m).map(|j| low_pass[(i, j)] * mean_n[j]).sum::<f64>())
@@ -256,171 +259,42 @@ impl Estimator {
                 (prior + load_variance * static_force_n.powi(2) - explained).max(0.0).sqrt()
             })
             .collect();
-        let mut profile = match &self.wheel.basis {
-            Basis::Full(contacts) => low_pass * &contacts[usize::from(!axle.class.leading)][0],
+        let mut profile = match &wheel.basis {
+            Basis::Full(contacts) => low_pass * &contacts[which][0],
             Basis::Splines([crossing, _]) => {
                 let mut all = Mat::zeros(g, common.grids.len());
                 add_parts(&mut all, &(low_pass * crossing), common, SIDES[0], axle.class);
                 all
             }
         };
-        matmul(&mut profile, Accum::Add, &gain, &self.profile_response, -1.0, Par::Seq);
+        matmul(&mut profile, Accum::Add, &gain, response, -1.0, Par::Seq);
         AxleGain { gain, base_n, sd_n, profile }
     }
 
     /// Brick-wall low-pass of the force samples, evaluated at the positions `grid_m`: band-limited interpolation.
     fn low_pass(&self, grid_m: &[f64], low_pass_hz: f64) -> Mat<f64> {
         let scale = 2.0 * low_pass_hz / self.rate_hz;
-        Mat::from_fn(grid_m.len(), self.wheel.position_m.len(), |i, j| {
-            let t = self.running.direction * grid_m[i] / self.running.speed_m_s;
-            let u = 2.0 * low_pass_hz * (t - (self.wheel.first_sample + j as i64) as f64 / self.rate_hz);
+        let (wheel, running) = (&self.train.wheel, &self.train.running);
+        Mat::from_fn(grid_m.len(), wheel.position_m.len(), |i, j| {
+            let t = running.direction * grid_m[i] / running.speed_m_s;
+            let u = 2.0 * low_pass_hz * (t - (wheel.first_sample + j as i64) as f64 / self.rate_hz);
             let pi_u = std::f64::consts::PI * u;
             scale * if pi_u.abs() < 1e-9 { 1.0 } else { pi_u.sin() / pi_u }
         })
     }
 }
 
-/// Extent of the window of a group.
-#[derive(Clone, Copy, Debug)]
-struct Window {
-    before: usize,
-    len: usize,
-}
-
-impl Window {
-    /// While any wheel of the group is within the window reach, and the decay after. The forces are unknown over a longer
-    /// stretch than that, so that what the window holds is never blamed on too few of them.
-    fn of(geometry: &GroupGeometry, prior: &Prior, rate_hz: f64) -> Self {
-        let speed = geometry.running.speed_m_s;
-        let reach_s = prior.window_m / speed;
-        let before = (reach_s * rate_hz).ceil() as usize;
-        let last = geometry.axle_offset_m.last().copied().unwrap_or(0.0);
-        let after = (last / speed + reach_s + DECAY_S) * rate_hz;
-        Self { before, len: before + after.ceil() as usize + 1 }
-    }
-
-    fn time_at_origin_s(&self, offset_m: f64, running: &Running, rate_hz: f64) -> f64 {
-        self.before as f64 / rate_hz + offset_m / running.speed_m_s
-    }
-}
-
-/// Response to passing wheels under the mean forces.
-struct Expectation {
-    window: Window,
-    /// Static force only.
-    standing: PassingResponse,
-    /// Leading and trailing wheels of bogies with their mean deviations.
-    running: [PassingResponse; 2],
-}
-
-impl Expectation {
-    /// Of mean deviations on a wheel's own clock, from sample `first` on.
-    fn new(
-        model: &TrackModel,
-        running: &Running,
-        window: Window,
-        (first, position_m): (i64, &[f64]),
-        mean_n: &Means,
-    ) -> Self {
-        let Running { direction, speed_m_s, static_force_n } = *running;
-        let standing =
-            PassingResponse::of_constant(model.greens, direction, speed_m_s, window.len, static_force_n);
-        let running = mean_n
-            .each_ref()
-            .map(|[crossing, stock]| standing.with(model.greens, first, position_m, [crossing, stock]));
-        Self { window, standing, running }
-    }
-
-    fn window(&self, geometry: &GroupGeometry, common: &CommonProfile, rate_hz: f64) -> Vec<f64> {
-        self.sum(geometry, common, rate_hz, PassingResponse::window)
-    }
-
-    /// Static forces of the whole train, mean deviations of the group's own axles.
-    fn sum(
-        &self,
-        geometry: &GroupGeometry,
-        common: &CommonProfile,
-        rate_hz: f64,
-        of: fn(&PassingResponse, &[f64], usize) -> Vec<f64>,
-    ) -> Vec<f64> {
-        let running = &geometry.running;
-        let time = |o: &f64| self.window.time_at_origin_s(*o, running, rate_hz);
-        let own = geometry.axle_offset_m;
-        let others: Vec<f64> =
-            geometry.train_offset_m.iter().filter(|o| !own.contains(o)).map(time).collect();
-        let mut sum = of(&self.standing, &others, self.window.len);
-        for (which, response) in self.running.iter().enumerate() {
-            let times: Vec<f64> = own
-                .iter()
-                .enumerate()
-                .filter(|(i, _)| usize::from(!common.grids.class(running.speed_m_s, *i).leading) == which)
-                .map(|(_, o)| time(o))
-                .collect();
-            for (s, r) in sum.iter_mut().zip(of(response, &times, self.window.len)) {
-                *s += r;
-            }
-        }
-        sum
-    }
-}
-
-/// Adds an axle's share to the covariance of the window and to its response to the common profile; returns the
-/// window per whitened force deviation of the crossing side.
-fn add_axle(
-    model: &TrackModel,
-    wheel: &Wheel,
-    common: &CommonProfile,
-    class: WheelClass,
-    time_at_origin_s: f64,
-    covariance: &mut Mat<f64>,
-    profile_response: &mut Mat<f64>,
-) -> Mat<f64> {
-    let len = covariance.nrows();
-    let samples = time_at_origin_s * model.greens.sampling.rate_hz;
-    let whole = samples.floor();
-    let reach_m = wheel.position_m.iter().fold(0.0, |m: f64, x| m.max(x.abs()));
-    let greens = model.greens.delayed(samples - whole, reach_m);
-    let mut crossing = Mat::zeros(0, 0);
-    for (rail, side) in SIDES.into_iter().enumerate() {
-        let first = wheel.first_sample + whole as i64;
-        let kernel = own_clock_kernel(&greens, side, &wheel.position_m, first, len);
-        match &wheel.basis {
-            Basis::Full(contacts) => {
-                let basis = &contacts[usize::from(!class.leading)][rail];
-                matmul(profile_response.as_mut(), Accum::Add, &kernel, basis, 1.0, Par::Seq);
-            }
-            Basis::Splines(splines) => {
-                add_parts(profile_response, &(&kernel * &splines[rail]), common, side, class);
-            }
-        }
-        let shaped = &kernel * &wheel.root_n[usize::from(!class.leading)][rail];
-        add_square(covariance, &shaped);
-        if side == SIDES[0] {
-            crossing = shaped;
-        }
-    }
-    crossing
-}
-
-/// Adds the response to the splines of one rail to all parts of the profile on it.
+/// Adds the forces per spline of one rail to all parts of the profile on it.
 fn add_parts(
     target: &mut Mat<f64>,
-    response: &Mat<f64>,
+    splines: &Mat<f64>,
     common: &CommonProfile,
     side: Side,
     class: WheelClass,
 ) {
     for (part, weight) in common.grids.parts_of(side, class) {
-        for c in 0..response.ncols() {
-            add_scaled(target.col_as_slice_mut(part.first + c), response.col_as_slice(c), weight);
-        }
-    }
-}
-
-fn add_scaled(target: &mut [f64], column: &[f64], scale: f64) {
-    if scale != 0.0 {
-        for (t, c) in target.iter_mut().zip(column) {
-            *t += scale * c;
+        for c in 0..splines.ncols() {
+            add_scaled(target.col_mut(part.first + c), splines.col(c), weight);
         }
     }
 }
@@ -428,8 +302,8 @@ fn add_scaled(target: &mut [f64], column: &[f64], scale: f64) {
 /// covariance += scale · v vᵀ, lower triangle.
 fn add_outer(covariance: &mut Mat<f64>, v: &[f64], scale: f64) {
     for j in 0..v.len() {
-        for i in j..v.len() {
-            covariance[(i, j)] += scale * v[i] * v[j];
+        for (c, value) in covariance.col_as_slice_mut(j)[j..].iter_mut().zip(&v[j..]) {
+            *c += scale * value * v[j];
         }
     }
 }
@@ -440,7 +314,7 @@ fn noise_covariance(prior: &Prior, len: usize) -> Mat<f64> {
 }
 
 /// covariance += shaped · shapedᵀ, lower triangle.
-fn add_square(covariance: &mut Mat<f64>, shaped: &Mat<f64>) {
+fn add_square(covariance: &mut Mat<f64>, shaped: MatRef<'_, f64>) {
     triangular::matmul(
         covariance,
         triangular::BlockStructure::TriangularLower,

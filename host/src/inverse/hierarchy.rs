@@ -7,13 +7,18 @@
 //! position error, and e Gaussian with the covariance of the wheels' own deviations, their load and the noise. The
 //! posterior of (c, X, θ, x_i) and the evidence are closed forms; a few linearisations reach the optimum (Gauss-Newton).
 
+use std::sync::Arc;
+
 use faer::linalg::matmul::triangular;
-use faer::linalg::solvers::{Llt, Solve as _};
+use faer::linalg::solvers::{DenseSolveCore as _, Llt, Solve as _};
 use faer::{Accum, Mat, Par};
 use rayon::prelude::*;
 
+use super::prior_root::PriorRoot;
+use super::profile::Shapes;
+use super::train::{Group, Train};
 use super::wheel::{Running, TrackModel};
-use super::{CommonProfile, Estimator, GroupGeometry, InverseError, Prior};
+use super::{CommonProfile, InverseError, Prior};
 use crate::reconstruct::{Recording, Timing};
 use crate::vehicle::{AxleGroup, AxlePattern};
 
@@ -88,31 +93,28 @@ const OWN: usize = 2;
 
 /// Linear-Gaussian statistics of one passage, its own unknowns eliminated.
 struct Statistics {
-    /// Information matrix of (c, X, θ), lower triangle.
+    /// What the train can tell apart of the profile.
+    shapes: Shapes,
+    /// Information matrix of the shapes' amplitudes and (X, θ).
     information: Mat<f64>,
-    /// Information vector.
+    /// Information vector of (c, X, θ).
     vector: Mat<f64>,
     log_likelihood: f64,
     /// Covariance of the own unknowns, their coupling to (c, X, θ), and their information values.
+    /// The coupling is that of the entries of the joint vector.
     own_covariance: [[f64; 2]; 2],
     own_coupling: Mat<f64>,
     own_value: [f64; 2],
 }
 
-impl SiteModel<'_> {
-    /// Geometry of a group of axles of a passage.
-    pub fn geometry<'g>(&self, offsets: &'g GroupOffsets, passage: &SitePassage) -> GroupGeometry<'g> {
-        GroupGeometry {
-            running: Running {
-                direction: self.direction,
-                speed_m_s: passage.timing.speed_m_s,
-                static_force_n: passage.static_force_n,
-            },
-            axle_offset_m: &offsets.own,
-            train_offset_m: &offsets.train,
-        }
-    }
+/// A passage with all of its model that does not depend on hyper-parameters.
+pub struct Prepared {
+    train: Arc<Train>,
+    /// Per kind of groups: [A | D | own columns of every group], and the number of groups.
+    columns: Vec<(Mat<f64>, usize)>,
+}
 
+impl SiteModel<'_> {
     /// Unknowns that all passages share: profile, position, parameters.
     fn shared(&self) -> usize {
         self.profile.grids.len() + 1 + self.moved.len()
@@ -122,52 +124,83 @@ impl SiteModel<'_> {
     pub fn posterior(&self, passages: &[SitePassage]) -> Result<SitePosterior, InverseError> {
         let statistics = self.of_every(passages)?;
         let joint = self.joint(&statistics)?;
-        let mean = &joint.centre + &joint.root * joint.factor.solve(&joint.vector);
-        let covariance = self.tempered(&joint.root * joint.factor.solve(joint.root.transpose()));
+        let mean = joint.mean();
+        let covariance = self.tempered(joint.root.coloured(&joint.factor.inverse()));
         let mean_shift_sd_m = self.mean_shift_sd_m(&statistics, &covariance);
         let means = self.means(&statistics, &mean);
         Ok(SitePosterior { log_evidence: joint.log_evidence, covariance, mean_shift_sd_m, ..means })
     }
 
-    /// Evidence over `passages` alone.
-    pub fn log_evidence(&self, passages: &[SitePassage]) -> Result<f64, InverseError> {
-        Ok(self.joint(&self.of_every(passages)?)?.log_evidence)
+    /// Posterior mean of the common profile alone.
+    pub fn posterior_profile(&self, passages: &[SitePassage]) -> Result<CommonProfile, InverseError> {
+        let statistics = self.of_every(passages)?;
+        Ok(self.means(&statistics, &self.joint(&statistics)?.mean()).profile)
+    }
+
+    /// Evidence over passages under the model's prior, which may differ from that of [`Self::prepared`] in its standard
+    /// deviations and correlations.
+    pub fn log_evidence(&self, passages: &[Prepared]) -> Result<f64, InverseError> {
+        let statistics =
+            passages.par_iter().map(|p| self.statistics(p)).collect::<Result<Vec<_>, InverseError>>()?;
+        Ok(self.joint(&statistics)?.log_evidence)
+    }
+
+    /// What of the passages does not depend on hyper-parameters.
+    pub fn prepared(&self, passages: &[SitePassage]) -> Result<Vec<Prepared>, InverseError> {
+        let kinds = kinds(self.pattern);
+        passages.par_iter().map(|p| self.prepare(&kinds, p)).collect()
     }
 
     fn of_every(&self, passages: &[SitePassage]) -> Result<Vec<Statistics>, InverseError> {
-        passages.par_iter().map(|p| self.statistics(p)).collect()
+        let kinds = kinds(self.pattern);
+        passages.par_iter().map(|p| self.statistics(&self.prepare(&kinds, p)?)).collect()
+    }
+
+    fn prepare(&self, kinds: &[GroupKind], passage: &SitePassage) -> Result<Prepared, InverseError> {
+        let running = Running {
+            direction: self.direction,
+            speed_m_s: passage.timing.speed_m_s,
+            static_force_n: passage.static_force_n,
+        };
+        let moved: Vec<TrackModel> = self.moved.iter().map(|m| m.model).collect();
+        let offsets: Vec<&GroupOffsets> = kinds.iter().map(|k| &k.offsets).collect();
+        let train = Train::new(&self.model, &moved, running, &offsets, self.prior, self.profile)?;
+        let amplitudes = train.shapes.amplitudes(&self.profile.value);
+        let columns = kinds
+            .iter()
+            .enumerate()
+            .map(|(k, kind)| (self.columns(&train, k, kind, passage, &amplitudes), kind.groups.len()))
+            .collect();
+        Ok(Prepared { train: Arc::new(train), columns })
     }
 
     /// Information of all passages and the prior on what is shared.
     fn joint(&self, statistics: &[Statistics]) -> Result<Joint, InverseError> {
         let (m, p) = (self.shared(), self.profile.grids.len());
-        let bad = |_| InverseError::Covariance { len: m, noise_m_s2: self.prior.noise_m_s2 };
-        let mut root = Mat::zeros(m, m);
-        let profile_root =
-            self.profile.grids.prior_covariance(self.prior).llt(faer::Side::Lower).map_err(bad)?;
-        root.submatrix_mut(0, 0, p, p).copy_from(profile_root.L());
+        let bad = || InverseError::Covariance { len: m, noise_m_s2: self.prior.noise_m_s2 };
+        let covariances = self.profile.grids.prior_covariances(self.prior);
+        let mut root = PriorRoot::of_covariances(&covariances).ok_or_else(bad)?;
         let mut centre = Mat::zeros(m, 1);
-        root[(p, p)] = self.common_shift_sd_m / self.temperature.sqrt();
+        root.push_scalar(self.common_shift_sd_m / self.temperature.sqrt());
         for (k, moved) in self.moved.iter().enumerate() {
-            root[(p + 1 + k, p + 1 + k)] = moved.prior.1 / self.temperature.sqrt();
+            root.push_scalar(moved.prior.1 / self.temperature.sqrt());
             centre[(p + 1 + k, 0)] = moved.prior.0;
         }
         let mut information: Mat<f64> = Mat::zeros(m, m);
         let mut vector: Mat<f64> = Mat::zeros(m, 1);
         let mut log_evidence = 0.0;
         for s in statistics {
-            information += &s.information;
+            s.shapes.add_expanded(&mut information, &s.information);
             vector += &s.vector;
             log_evidence += s.log_likelihood;
         }
-        symmetrise(&mut information);
         // About the prior mean, and whitened with the prior's Cholesky factor, so that a nearly singular prior does no
         // harm.
         let at_centre = &information * &centre;
         log_evidence +=
             (0..m).map(|i| centre[(i, 0)] * (vector[(i, 0)] - 0.5 * at_centre[(i, 0)])).sum::<f64>();
-        let vector = root.transpose() * (&vector - &at_centre);
-        let factor = whitened(&information, &root).llt(faer::Side::Lower).map_err(bad)?;
+        let vector = root.transposed_times((&vector - &at_centre).as_ref());
+        let factor = root.whitened(&information).llt(faer::Side::Lower).map_err(|_| bad())?;
         let solved = factor.solve(&vector);
         let l = factor.L();
         log_evidence += (0..m).map(|i| 0.5 * vector[(i, 0)] * solved[(i, 0)] - l[(i, i)].ln()).sum::<f64>();
@@ -220,71 +253,89 @@ impl SiteModel<'_> {
         }
     }
 
-    /// Windows of one passage, reduced to the information on what is shared and on its own unknowns.
-    fn statistics(&self, passage: &SitePassage) -> Result<Statistics, InverseError> {
-        let m = self.shared();
-        let width = m + OWN + 1;
-        let mut products: Mat<f64> = Mat::zeros(width, width);
-        let mut log_likelihood = 0.0;
-        for kind in kinds(self.pattern) {
-            let (estimator, moved_m_s2) = Estimator::with_moved(
-                &self.model,
-                &self.moved.iter().map(|m| m.model).collect::<Vec<_>>(),
-                &self.geometry(&kind.offsets, passage),
-                self.prior,
-                self.profile,
-            )?;
-            let (n, fixed) = (estimator.len(), m - 1);
-            let mut columns = Mat::zeros(n, fixed + kind.groups.len() * (OWN + 1));
-            columns.submatrix_mut(0, 0, n, fixed).copy_from(&self.fixed_columns(&estimator, &moved_m_s2));
-            for (g, group) in kind.groups.iter().enumerate() {
-                let own = self.own_columns(&estimator, passage, *group);
-                columns.submatrix_mut(0, fixed + g * (OWN + 1), n, OWN + 1).copy_from(&own);
-            }
-            estimator.whiten(&mut columns);
-            add_products(&mut products, &columns, self.profile.grids.len(), fixed, kind.groups.len());
-            log_likelihood -= kind.groups.len() as f64
-                * (estimator.log_det_half() + 0.5 * n as f64 * std::f64::consts::TAU.ln());
-        }
-        log_likelihood -= 0.5 * products[(width - 1, width - 1)];
-        Ok(self.eliminate_own(&products, log_likelihood))
-    }
-
-    /// [A | D]: response to the common profile, derivatives by the track parameters.
-    fn fixed_columns(&self, estimator: &Estimator, moved_m_s2: &[Vec<f64>]) -> Mat<f64> {
-        let (n, p) = (estimator.len(), self.profile.grids.len());
-        let mut columns = Mat::zeros(n, p + self.moved.len());
-        columns.submatrix_mut(0, 0, n, p).copy_from(estimator.profile_response());
-        for (k, (moved, expected)) in self.moved.iter().zip(moved_m_s2).enumerate() {
+    /// [A | D | own columns of every group]: response to the shapes of the profile, derivatives by the track parameters,
+    /// and what each group of a kind shows.
+    fn columns(
+        &self,
+        train: &Train,
+        k: usize,
+        kind: &GroupKind,
+        passage: &SitePassage,
+        amplitudes: &Mat<f64>,
+    ) -> Mat<f64> {
+        let (response, group) = (train.response(k), &train.groups[k]);
+        let (n, q) = (response.nrows(), response.ncols());
+        let fixed = q + self.moved.len();
+        let mut columns = Mat::zeros(n, fixed + kind.groups.len() * (OWN + 1));
+        columns.subcols_mut(0, q).copy_from(response);
+        for (j, (moved, expected)) in self.moved.iter().zip(&group.moved_m_s2).enumerate() {
             for i in 0..n {
-                columns[(i, p + k)] = (expected[i] - estimator.expected_m_s2[i]) / moved.step;
+                columns[(i, q + j)] = (expected[i] - group.expected_m_s2[i]) / moved.step;
             }
+        }
+        // A window as it would be with the profile zero.
+        let known = response * amplitudes;
+        let zero: Vec<f64> = (0..n).map(|i| group.expected_m_s2[i] - known[(i, 0)]).collect();
+        for (g, axles) in kind.groups.iter().enumerate() {
+            let own = self.own_columns(train, group, passage, *axles, &zero);
+            columns.subcols_mut(fixed + g * (OWN + 1), OWN + 1).copy_from(&own);
         }
         columns
     }
 
-    /// [−ȧ/v | −ȧ τ | residual], with τ the time since the first axle, for a window as it would be with the profile zero.
-    fn own_columns(&self, estimator: &Estimator, passage: &SitePassage, group: AxleGroup) -> Mat<f64> {
-        let (n, rate, band) = (estimator.len(), estimator.rate_hz, self.model.greens.sampling.band_hz);
+    /// [−ȧ/v | −ȧ τ | residual], with τ the time since the first axle, for a window that is `zero_m_s2` with the profile zero.
+    fn own_columns(
+        &self,
+        train: &Train,
+        group: &Group,
+        passage: &SitePassage,
+        axles: AxleGroup,
+        zero_m_s2: &[f64],
+    ) -> Mat<f64> {
+        let (n, rate, band) = (group.window.len, train.rate_hz, self.model.greens.sampling.band_hz);
         let timing = passage.timing;
-        let start = timing.axle_s(self.pattern.offset_m[group.first]) - estimator.before as f64 / rate;
+        let start = timing.axle_s(self.pattern.offset_m[axles.first]) - group.window.before as f64 / rate;
         let window = passage.recording.window(start, rate, n, band);
         // The slope of the model's mean, not of the recording: what the wheels have of their own says nothing on where
         // they are, but would damp every step.
-        let slope = &estimator.expected_slope_m_s3;
-        let response = estimator.profile_response();
-        let known: Vec<f64> = (0..n)
-            .map(|i| (0..response.ncols()).map(|j| response[(i, j)] * self.profile.value[j]).sum())
-            .collect();
+        let slope = &group.expected_slope_m_s3;
         Mat::from_fn(n, OWN + 1, |k, c| match c {
             0 => -slope[k] / timing.speed_m_s,
             1 => -slope[k] * (start + k as f64 / rate - timing.first_axle_s),
-            _ => window[k] - estimator.expected_m_s2[k] + known[k],
+            _ => window[k] - zero_m_s2[k],
         })
     }
 
-    fn eliminate_own(&self, products: &Mat<f64>, log_likelihood: f64) -> Statistics {
-        let m = self.shared();
+    /// Windows of one passage, reduced to the information on what is shared and on its own unknowns.
+    fn statistics(&self, passage: &Prepared) -> Result<Statistics, InverseError> {
+        let shapes = &passage.train.shapes;
+        let fixed = shapes.len() + self.moved.len();
+        let width = fixed + 1 + OWN + 1;
+        let estimators = passage.train.estimators(self.prior)?;
+        let of_kinds: Vec<Mat<f64>> = estimators
+            .par_iter()
+            .zip(&passage.columns)
+            .map(|(estimator, (columns, groups))| {
+                let mut columns = columns.clone();
+                estimator.whiten(&mut columns);
+                let mut products = Mat::zeros(width, width);
+                add_products(&mut products, &columns, shapes.len(), fixed, *groups);
+                products
+            })
+            .collect();
+        let mut products: Mat<f64> = Mat::zeros(width, width);
+        let mut log_likelihood = 0.0;
+        for ((of_kind, estimator), (_, groups)) in of_kinds.iter().zip(&estimators).zip(&passage.columns) {
+            products += of_kind;
+            log_likelihood -= *groups as f64
+                * (estimator.log_det_half() + 0.5 * estimator.len() as f64 * std::f64::consts::TAU.ln());
+        }
+        log_likelihood -= 0.5 * products[(width - 1, width - 1)];
+        Ok(self.eliminate_own(shapes, &products, log_likelihood))
+    }
+
+    fn eliminate_own(&self, shapes: &Shapes, products: &Mat<f64>, log_likelihood: f64) -> Statistics {
+        let m = shapes.len() + 1 + self.moved.len();
         let value = [products[(m + OWN, m)], products[(m + OWN, m + 1)]];
         let precision = [
             [products[(m, m)] + self.passage_shift_sd_m.powi(-2), products[(m + 1, m)]],
@@ -310,18 +361,20 @@ impl SiteModel<'_> {
             -1.0,
             Par::Seq,
         );
-        let vector = Mat::from_fn(m, 1, |i, _| {
+        symmetrise(&mut information);
+        let vector = Mat::from_fn(1, m, |_, i| {
             products[(m + OWN, i)] - weighted[(i, 0)] * value[0] - weighted[(i, 1)] * value[1]
         });
         let quadratic: f64 =
             (0..OWN).map(|i| (0..OWN).map(|j| value[i] * covariance[i][j] * value[j]).sum::<f64>()).sum();
         let prior_ln = self.passage_shift_sd_m.powi(-2).ln() + self.speed_sd.powi(-2).ln();
         Statistics {
+            shapes: shapes.clone(),
             information,
-            vector,
+            vector: shapes.expanded_columns(vector.as_ref()).transpose().to_owned(),
             log_likelihood: log_likelihood + 0.5 * quadratic - 0.5 * (determinant.ln() - prior_ln),
             own_covariance: covariance,
-            own_coupling: coupling,
+            own_coupling: shapes.expanded_columns(coupling.transpose()).transpose().to_owned(),
             own_value: value,
         }
     }
@@ -329,8 +382,7 @@ impl SiteModel<'_> {
 
 /// Prior and data on what is shared, whitened by the prior: information `factor` = 1 + rootᵀ information root.
 struct Joint {
-    /// Lower Cholesky factor of the prior covariance.
-    root: Mat<f64>,
+    root: PriorRoot,
     /// Prior mean.
     centre: Mat<f64>,
     factor: Llt<f64>,
@@ -338,35 +390,10 @@ struct Joint {
     log_evidence: f64,
 }
 
-/// 1 + rootᵀ · information · root of a lower triangular root, lower triangle.
-fn whitened(information: &Mat<f64>, root: &Mat<f64>) -> Mat<f64> {
-    use triangular::BlockStructure::{Rectangular, TriangularLower, TriangularUpper};
-    let m = root.nrows();
-    let mut half = Mat::zeros(m, m);
-    triangular::matmul(
-        &mut half,
-        Rectangular,
-        Accum::Replace,
-        information,
-        Rectangular,
-        root,
-        TriangularLower,
-        1.0,
-        Par::Seq,
-    );
-    let mut inner = Mat::identity(m, m);
-    triangular::matmul(
-        &mut inner,
-        TriangularLower,
-        Accum::Add,
-        root.transpose(),
-        TriangularUpper,
-        &half,
-        Rectangular,
-        1.0,
-        Par::Seq,
-    );
-    inner
+impl Joint {
+    fn mean(&self) -> Mat<f64> {
+        &self.centre + self.root.times(self.factor.solve(&self.vector).as_ref())
+    }
 }
 
 impl Statistics {
@@ -382,7 +409,8 @@ impl Statistics {
     }
 }
 
-/// Adds columnsᵀ columns of all groups of a kind, lower triangle in the order (c, X, θ, x_i, stretch, residual).
+/// Adds columnsᵀ columns of all groups of a kind, lower triangle in the order (c, X, θ, x_i, stretch, residual),
+/// with c the amplitudes of the profile's shapes.
 ///
 /// `columns` holds (A, D) once, then (−ȧ/v, stretch, residual) of every group; −ȧ/v serves X and x_i.
 fn add_products(products: &mut Mat<f64>, columns: &Mat<f64>, profile: usize, fixed: usize, groups: usize) {

@@ -1,6 +1,6 @@
 //! Profile along the track that all wheels of a site share: an irregularity, or a force deviation.
 
-use faer::Mat;
+use faer::{ColMut, ColRef, Mat, MatRef, unzip, zip};
 
 use super::prior::{Prior, matern_at};
 use crate::track::Side;
@@ -202,10 +202,27 @@ impl ProfileGrids {
         self.parts.iter().filter(move |p| p.side == side).map(move |p| (p, class.weight(p.regressor)))
     }
 
-    /// Prior covariance of the joint vector, unit of the profile squared.
-    pub fn prior_covariance(&self, prior: &Prior) -> Mat<f64> {
-        let mut out = Mat::zeros(self.len(), self.len());
-        for p in &self.parts {
+    /// What a train at one speed can tell apart of the profile.
+    pub fn shapes(&self, speed_m_s: f64) -> Shapes {
+        let speed = self.class(speed_m_s, 0).speed;
+        let mut out = Shapes { shapes: Vec::new(), spans: Vec::new(), len: 0 };
+        for part in &self.parts {
+            let (odd, scale) = match part.regressor {
+                Regressor::Constant => (false, 1.0),
+                Regressor::Speed => (false, speed),
+                Regressor::Lead => (true, 1.0),
+            };
+            let len = self.grid(part.side).len;
+            let column = out.column(part.side, odd, len);
+            out.spans.push(Span { first: part.first, len, column, scale });
+        }
+        out
+    }
+
+    /// Prior covariance of the entries of every part, unit of the profile squared, in the order of the joint vector; the
+    /// parts are independent of each other.
+    pub fn prior_covariances(&self, prior: &Prior) -> Vec<Mat<f64>> {
+        let of = |p: &Part| {
             let grid = self.grid(p.side);
             let positions: Vec<f64> = (0..grid.len).map(|i| grid.position_m(i)).collect();
             let sd: Vec<f64> = positions.iter().map(|x| p.scale * prior.common_sd(p.side, *x)).collect();
@@ -224,9 +241,116 @@ impl ProfileGrids {
             for i in 0..grid.len {
                 block[(i, i)] += 1e-9 * sd[i].powi(2);
             }
-            out.submatrix_mut(p.first, p.first, grid.len, grid.len).copy_from(&block);
+            block
+        };
+        self.parts.iter().map(of).collect()
+    }
+}
+
+/// Shapes of the common profile that a train at one speed can tell apart: the speed part acts there like the constant one,
+/// times a number that all wheels share. Responses have a column per entry of a shape, so they and their products are
+/// smaller than the joint vector would make them.
+#[derive(Clone, Debug)]
+pub struct Shapes {
+    shapes: Vec<Shape>,
+    spans: Vec<Span>,
+    len: usize,
+}
+
+/// Same force under all wheels of a rail, or with opposite sign under leading and trailing ones.
+#[derive(Clone, Copy, Debug)]
+struct Shape {
+    side: Side,
+    odd: bool,
+    column: usize,
+}
+
+/// Entries of the joint vector, from `first` on, that act as `scale` times the columns of a shape.
+#[derive(Clone, Copy, Debug)]
+struct Span {
+    first: usize,
+    len: usize,
+    column: usize,
+    scale: f64,
+}
+
+impl Shapes {
+    /// First column of a shape, which is added if there is none like it.
+    fn column(&mut self, side: Side, odd: bool, len: usize) -> usize {
+        if let Some(known) = self.shapes.iter().find(|s| s.side == side && s.odd == odd) {
+            return known.column;
+        }
+        let column = self.len;
+        self.shapes.push(Shape { side, odd, column });
+        self.len += len;
+        column
+    }
+
+    /// Number of columns.
+    pub fn len(&self) -> usize {
+        self.len
+    }
+
+    /// Never: a profile has at least one part.
+    pub fn is_empty(&self) -> bool {
+        self.len == 0
+    }
+
+    /// First columns of the shapes of a rail, with their sign under a leading or a trailing wheel.
+    pub fn of(&self, side: Side, leading: bool) -> impl Iterator<Item = (usize, f64)> {
+        self.shapes
+            .iter()
+            .filter(move |s| s.side == side)
+            .map(move |s| (s.column, if s.odd && !leading { -1.0 } else { 1.0 }))
+    }
+
+    /// Amplitudes of the shapes' columns for values of the joint vector.
+    pub fn amplitudes(&self, value: &[f64]) -> Mat<f64> {
+        let mut out = Mat::zeros(self.len, 1);
+        for span in &self.spans {
+            for i in 0..span.len {
+                out[(span.column + i, 0)] += span.scale * value[span.first + i];
+            }
         }
         out
+    }
+
+    /// Columns of the joint vector from those of the shapes; columns beyond them follow as they are.
+    pub fn expanded_columns(&self, columns: MatRef<'_, f64>) -> Mat<f64> {
+        let entries: usize = self.spans.iter().map(|s| s.len).sum();
+        let more = columns.ncols() - self.len;
+        let mut out = Mat::zeros(columns.nrows(), entries + more);
+        for span in &self.spans {
+            for i in 0..span.len {
+                add_scaled(out.col_mut(span.first + i), columns.col(span.column + i), span.scale);
+            }
+        }
+        out.subcols_mut(entries, more).copy_from(columns.subcols(self.len, more));
+        out
+    }
+
+    /// Adds a symmetric matrix over the shapes' columns, and those beyond them, to one over the joint vector.
+    pub fn add_expanded(&self, target: &mut Mat<f64>, symmetric: &Mat<f64>) {
+        let entries: usize = self.spans.iter().map(|s| s.len).sum();
+        let more = symmetric.ncols() - self.len;
+        let beyond = Span { first: entries, len: more, column: self.len, scale: 1.0 };
+        let spans = || self.spans.iter().chain([&beyond]).copied().collect::<Vec<_>>();
+        for across in spans() {
+            for down in spans() {
+                for j in 0..across.len {
+                    let from = symmetric.col(across.column + j).subrows(down.column, down.len);
+                    let to = target.col_mut(across.first + j).subrows_mut(down.first, down.len);
+                    add_scaled(to, from, across.scale * down.scale);
+                }
+            }
+        }
+    }
+}
+
+/// target += scale · column
+pub(super) fn add_scaled(target: ColMut<'_, f64>, column: ColRef<'_, f64>, scale: f64) {
+    if scale != 0.0 {
+        zip!(target, column).for_each(|unzip!(t, c)| *t += scale * *c);
     }
 }
 

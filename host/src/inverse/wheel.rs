@@ -1,7 +1,8 @@
 //! One wheel passing at a speed, on its own clock: where its force is unknown, how it varies, and what the common
 //! profile makes of it. All axles of a train share this.
 
-use faer::Mat;
+use faer::linalg::matmul::triangular::{self, BlockStructure};
+use faer::{Accum, Mat, MatRef, Par};
 
 use super::prior::Prior;
 use super::profile::CommonProfile;
@@ -39,15 +40,27 @@ pub struct Running {
     pub static_force_n: f64,
 }
 
-/// Wheel on its own clock: it is at x = 0 at sample 0.
+/// Wheel on its own clock: it is at x = 0 at sample 0. Nothing of it depends on the hyper-parameters, so that a search
+/// over them needs it but once.
 pub(super) struct Wheel {
     pub(super) first_sample: i64,
     pub(super) position_m: Vec<f64>,
-    /// Factors of the covariance of the wheel's own deviation, N: `[leading, trailing][crossing, stock]`.
-    pub(super) root_n: Contacts,
     pub(super) basis: Basis,
     /// Mean deviations under the common profile, newtons.
     pub(super) mean_n: Means,
+    /// The same under each of the tracks close by.
+    pub(super) moved_n: Vec<Means>,
+    own: Own,
+    rate_hz: f64,
+    speed_m_s: f64,
+}
+
+/// What a wheel has of its own.
+enum Own {
+    /// A force deviation.
+    Force,
+    /// An irregularity: force deviation per irregularity under that contact alone, N/m.
+    Irregularity(Box<Contacts>),
 }
 
 /// Force deviations at a wheel's own samples, newtons: `[leading, trailing][crossing, stock]`.
@@ -64,37 +77,27 @@ pub(super) enum Basis {
 pub(super) const SIDES: [Side; 2] = [Side::Crossing, Side::Stock];
 
 impl Wheel {
-    /// With its mean deviations under each of the tracks of `moved`, which are close to that of `model`. `None` if a covariance
-    /// is not finite.
+    /// Within `half_m` of x = 0, with its mean deviations under each of the tracks of `moved`, which are close to that of
+    /// `model`.
     pub(super) fn new(
         model: &TrackModel,
         moved: &[TrackModel],
         running: &Running,
-        prior: &Prior,
+        half_m: f64,
         common: &CommonProfile,
-    ) -> Option<(Self, Vec<Means>)> {
-        let rate = model.greens.sampling.rate_hz;
-        let (first_sample, position_m) =
-            own_positions(running.direction, running.speed_m_s, prior.half_m, rate);
+    ) -> Self {
+        let rate_hz = model.greens.sampling.rate_hz;
+        let (first_sample, position_m) = own_positions(running.direction, running.speed_m_s, half_m, rate_hz);
         let profile = common.values_at(&position_m, running.speed_m_s);
         let splines = SIDES.map(|s| common.grids.grid(s).basis(&position_m));
-        let (root_n, basis, mean_n, moved_n) = match model.excitation {
+        let (own, basis, mean_n, moved_n) = match model.excitation {
             Excitation::Force => {
-                let step = 1.0 / (rate * prior.correlation_s);
-                let root = |side: Side| {
-                    let sd_n: Vec<f64> = position_m.iter().map(|x| prior.own_sd(side, *x)).collect();
-                    prior.covariance_factor(&position_m, &sd_n, step)
-                };
-                let roots = [root(Side::Crossing)?, root(Side::Stock)?];
                 let mean_n = columns(&profile);
                 let moved_n = vec![mean_n.clone(); moved.len()];
-                ([roots.clone(), roots], Basis::Splines(splines), mean_n, moved_n)
+                (Own::Force, Basis::Splines(splines), mean_n, moved_n)
             }
             Excitation::Irregularity(interaction) => {
                 let motion = running.on(interaction, &position_m);
-                let step = running.speed_m_s / (rate * prior.own_correlation_m);
-                let path = |side: Side| prior.path_factor(&position_m, side, step);
-                let root_n = motion.solve_alone(&[path(Side::Crossing)?, path(Side::Stock)?]);
                 let basis = Basis::Full(motion.solve_shared(&splines));
                 let mean = mean_of(&motion, &profile);
                 let moved_n = moved
@@ -104,10 +107,43 @@ impl Wheel {
                         Excitation::Force => columns(&profile),
                     })
                     .collect();
-                (root_n, basis, columns(&mean), moved_n)
+                (Own::Irregularity(Box::new(motion.alone())), basis, columns(&mean), moved_n)
             }
         };
-        Some((Self { first_sample, position_m, root_n, basis, mean_n }, moved_n))
+        let speed_m_s = running.speed_m_s;
+        Self { first_sample, position_m, basis, mean_n, moved_n, own, rate_hz, speed_m_s }
+    }
+
+    /// kernel · root, with a factor of [`Self::roots_n`].
+    pub(super) fn shaped(&self, kernel: &Mat<f64>, root_n: &Mat<f64>) -> Mat<f64> {
+        match self.own {
+            Own::Force => times_lower(kernel.as_ref(), root_n),
+            Own::Irregularity(_) => kernel * root_n,
+        }
+    }
+
+    /// Factors of the covariance of the wheel's own deviation, N: `[leading, trailing][crossing, stock]`. `None` if a
+    /// covariance is not finite.
+    pub(super) fn roots_n(&self, prior: &Prior) -> Option<Contacts> {
+        match &self.own {
+            Own::Force => {
+                let step = 1.0 / (self.rate_hz * prior.correlation_s);
+                let root = |side: Side| {
+                    let sd_n: Vec<f64> = self.position_m.iter().map(|x| prior.own_sd(side, *x)).collect();
+                    prior.covariance_factor(&self.position_m, &sd_n, step)
+                };
+                let roots = [root(Side::Crossing)?, root(Side::Stock)?];
+                Some([roots.clone(), roots])
+            }
+            Own::Irregularity(alone_n_m) => {
+                let step = self.speed_m_s / (self.rate_hz * prior.own_correlation_m);
+                let path = |side: Side| prior.path_factor(&self.position_m, side, step);
+                let paths = [path(Side::Crossing)?, path(Side::Stock)?];
+                Some([0, 1].map(|axle: usize| {
+                    [0, 1].map(|rail: usize| times_lower(alone_n_m[axle][rail].as_ref(), &paths[rail]))
+                }))
+            }
+        }
     }
 }
 
@@ -121,6 +157,23 @@ impl Running {
 fn mean_of(motion: &Motion, irregularity_m: &Contacts) -> Contacts {
     let deflection = motion.load_deflection_m();
     motion.solve(&[0, 1].map(|a: usize| [0, 1].map(|r: usize| &irregularity_m[a][r] + &deflection[a][r])))
+}
+
+/// Product with a lower triangular matrix.
+fn times_lower(matrix: MatRef<'_, f64>, lower: &Mat<f64>) -> Mat<f64> {
+    let mut out = Mat::zeros(matrix.nrows(), lower.ncols());
+    triangular::matmul(
+        &mut out,
+        BlockStructure::Rectangular,
+        Accum::Replace,
+        matrix,
+        BlockStructure::Rectangular,
+        lower,
+        BlockStructure::TriangularLower,
+        1.0,
+        Par::Seq,
+    );
+    out
 }
 
 fn columns(contacts: &Contacts) -> Means {

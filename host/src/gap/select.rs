@@ -124,8 +124,8 @@ fn fits_from_afar<'e>(
     fits
 }
 
-/// Best thorough fit from all starts of the last effect of `list`, where that does not begin smoothly: its starts lie in
-/// different valleys.
+/// Thorough fit that continues the best of shorter ones from all starts of the last effect of `list`, where that does not
+/// begin smoothly: its starts lie in different valleys.
 fn from_every_start(
     frame: &Frame,
     state: &State,
@@ -135,10 +135,11 @@ fn from_every_start(
 ) -> Option<Fit> {
     let effect = list.last().filter(|e| e.nought().is_none())?;
     let starts = effect.far_starts(hints);
-    starts
+    let best = starts
         .par_iter()
-        .filter_map(|c| fit(frame, list, started(state, c), subset, FitOptions::THOROUGH).ok())
-        .max_by(by_evidence)
+        .filter_map(|c| fit(frame, list, started(state, c), subset, VALLEY).ok())
+        .max_by(by_evidence)?;
+    fit(frame, list, best.state, subset, FitOptions::THOROUGH).ok()
 }
 
 fn by_evidence(a: &Fit, b: &Fit) -> std::cmp::Ordering {
@@ -192,6 +193,8 @@ const SMOOTH: FitOptions = FitOptions { steps: 8, renew: 3, tolerance: 0.5 };
 /// An effect that does not begin smoothly is looked for from all its starts in a few passages first.
 const SCOUT: FitOptions = FitOptions { steps: 6, renew: 3, tolerance: 3.0 };
 const SCOUTED: usize = 3;
+/// As many steps with all passages tell which valley is the deepest.
+const VALLEY: FitOptions = FitOptions { steps: 6, renew: 4, tolerance: 3.0 };
 
 /// Outer stiffness this far from nominal (logarithm) is hardly real.
 const FAR: f64 = 0.7;

@@ -55,6 +55,13 @@ fn told(what: &str, values: &[f64]) -> (f64, f64) {
 }
 
 #[test]
+fn reference_irregularity_lies_on_the_scan() {
+    let error = scored().irregularity;
+    println!("mean irregularity against the scan: {:.2} %", 100.0 * error);
+    assert!(error < tolerance::IRREGULARITY, "{error:.4}");
+}
+
+#[test]
 fn reference_force_peak() {
     assert_eq!(scored().peak.len(), 24 * 12, "every wheelset of every train");
     let (median, p90) = told("force peak, relative error", &scored().peak);

@@ -31,6 +31,8 @@ pub const PEAK_MEDIAN: f64 = 0.025;
 pub const PEAK_P90: f64 = 0.05;
 /// Position of the peak, median, m: a shorter distance than a grinder works on.
 pub const PEAK_POSITION_M: f64 = 0.03;
+/// Mean irregularity against the laser scan, RMS over peak to peak: what is asked of the method.
+pub const IRREGULARITY: f64 = 0.04;
 /// Speed of a train, relative, 90th percentile.
 pub const SITE_SPEED: f64 = 1e-3;
 /// Sleeper displacement, RMS over peak to peak, median of the passages.

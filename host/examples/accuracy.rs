@@ -13,10 +13,10 @@ use cpcm::scoring::{Score, score};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     println!(
-        "site                     force peak    waveform   at peak    speed  displacement   in interval   time"
+        "site                     force peak    waveform   at peak    speed  displacement  irregularity   in interval   time"
     );
     println!(
-        "                         median  90 %    median    median   median        median   peak  curve"
+        "                         median  90 %    median    median   median        median          mean   peak  curve"
     );
     for dir in std::env::args().skip(1) {
         let dir = Path::new(&dir);
@@ -27,7 +27,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let s = score(&analysis, &read_truth(dir)?);
         let percent = |values: &[f64]| 100.0 * Score::median(values);
         println!(
-            "{:<23} {:>5.2} % {:>5.2} % {:>5.2} % {:>6.1} mm {:>6.3} %      {:>5.2} %  {:>3.0} %  {:>3.0} % {:>4.0} s",
+            "{:<23} {:>5.2} % {:>5.2} % {:>5.2} % {:>6.1} mm {:>6.3} %      {:>5.2} %       {:>5.2} %  {:>3.0} %  {:>3.0} % {:>4.1} s",
             dir.file_name().unwrap_or_default().display(),
             percent(&s.peak),
             100.0 * Score::p90(&s.peak),
@@ -35,6 +35,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             1e3 * Score::median(&s.peak_position_m),
             percent(&s.speed),
             percent(&s.displacement),
+            100.0 * s.irregularity,
             100.0 * s.peak_coverage,
             100.0 * s.waveform_coverage,
             seconds,

@@ -8,6 +8,10 @@
 //! are coupled by the sleepers, by the wheelsets' roll and by the bogie frame; the two wheelsets of a bogie are too far
 //! apart to feel each other through the rail.
 
+mod wheelset;
+
+pub use wheelset::Wheelset;
+
 use std::sync::Arc;
 
 use faer::linalg::matmul::matmul;
@@ -82,7 +86,7 @@ impl Interaction {
     ) -> Motion<'a> {
         let n = position_m.len();
         let delay = self.bogie.axle_spacing_m / speed_m_s * self.bogie.sampling.rate_hz;
-        let contact = 1.0 / (1.5 * self.bogie.hertz_constant_n_m15.powf(2.0 / 3.0) * static_force_n.cbrt());
+        let contact = self.bogie.contact_compliance_m_n(static_force_n);
         // The trailing wheelset's clock is late: what happens to it comes to the leading one later.
         let to_leading = self.bogie.other_wheelset(delay);
         let to_trailing = self.bogie.other_wheelset(-delay);
@@ -279,6 +283,11 @@ impl BogieResponses {
             same_wheelset: [irfft(&own, sampling.len), irfft(&across, sampling.len)],
             other_wheelset: [along, diagonal],
         }
+    }
+
+    /// Of the contact, linearised at the static force.
+    fn contact_compliance_m_n(&self, static_force_n: f64) -> f64 {
+        1.0 / (1.5 * self.hertz_constant_n_m15.powf(2.0 / 3.0) * static_force_n.cbrt())
     }
 
     /// Series of the other wheelset, later by `delay` samples.

@@ -4,6 +4,7 @@ use faer::Mat;
 
 use crate::forces::{LOW_PASS_HZ, WheelForce};
 use crate::greens::moving_response::RailGreens;
+use crate::interaction::Wheelset;
 use crate::recording::Vehicle;
 use crate::signal::{CubicSpline, brick_band, resample};
 
@@ -40,13 +41,36 @@ pub fn irregularity(
         .iter()
         .zip(twice_integrated(&acceleration, dt))
         .zip(&deflection)
-        .map(|((f, path), rail)| {
-            let compression = (f.max(0.0) / vehicle.hertz_constant_n_m15).powf(2.0 / 3.0);
-            path - rail - compression
-        })
+        .map(|((f, path), rail)| path - rail - compression_m(*f, vehicle))
         .collect();
     let banded = brick_band(&without_cubic(&raw), rate_hz, speed_m_s / LONGEST_WAVELENGTH_M, LOW_PASS_HZ);
     on_grid(&force.position_m, &banded, grid_m)
+}
+
+/// The same without the assumptions that the wheel load is constant, the stock rail unloaded and the rail level under the
+/// static load: primary suspension and bogie frame carry on, the stock side's force is what follows from this one, and the
+/// static load sinks deeper between sleepers.
+pub fn irregularity_of_wheelset(
+    force: &WheelForce,
+    speed_m_s: f64,
+    static_force_n: f64,
+    wheelset: &Wheelset,
+    (vehicle, rate_hz): (&Vehicle, f64),
+    grid_m: &[f64],
+) -> Vec<f64> {
+    let leading = force.wheelset.is_multiple_of(2);
+    let deviation_n = Mat::from_fn(force.force_n.len(), 1, |j, _| force.force_n[j] - static_force_n);
+    let path = wheelset.relative_path_m(leading, &deviation_n);
+    let raw: Vec<f64> = (force.force_n.iter().zip(path.col_as_slice(0)))
+        .map(|(f, path)| path - compression_m(*f, vehicle))
+        .collect();
+    let banded = brick_band(&without_cubic(&raw), rate_hz, speed_m_s / LONGEST_WAVELENGTH_M, LOW_PASS_HZ);
+    on_grid(&force.position_m, &banded, grid_m)
+}
+
+/// Hertz's law.
+fn compression_m(force_n: f64, vehicle: &Vehicle) -> f64 {
+    (force_n.max(0.0) / vehicle.hertz_constant_n_m15).powf(2.0 / 3.0)
 }
 
 /// Path from acceleration, both at the samples, from rest, by Numerov's rule: without delay, and 1.07 times too large at

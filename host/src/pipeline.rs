@@ -1,17 +1,19 @@
 //! The whole chain: site in, analysis or kernel package out.
 
+use std::sync::Arc;
+
 use rayon::prelude::*;
 
 use crate::analysis::{Analysis, BallastEstimate, Interval, PassageResult, WheelsetResult};
 use crate::ballast::BallastParameters;
 use crate::forces::{LOW_PASS_HZ, WheelForce, all_wheel_forces};
 use crate::greens::moving::{WheelPath, constant_force_response};
-use crate::greens::moving_response::RailGreens;
 use crate::greens::{Chain, GreensFunctions, GreensSampling, Quantity};
 use crate::identify::{IdentifiedSite, IdentifyError, identify};
 use crate::indicator::indicators;
+use crate::interaction::{BogieResponses, Interaction, Wheelset};
 use crate::inverse::InverseError;
-use crate::irregularity::{LONGEST_WAVELENGTH_M, irregularity, on_grid};
+use crate::irregularity::{LONGEST_WAVELENGTH_M, irregularity_of_wheelset, on_grid};
 use crate::kernel::{HALF_WIDTH_90, KernelError};
 use crate::limits::PassageLimits;
 use crate::progress::Progress;
@@ -79,14 +81,14 @@ pub fn evaluate(identified: &IdentifiedSite, progress: &dyn Progress) -> Result<
     progress.begin("contact forces", site.passages.len() as u64);
     let forces = all_wheel_forces(identified, &|| progress.step())?;
     let grid = result_grid(identified);
-    let rail = rail_greens(identified);
+    let interaction = interaction(identified);
     let displacement_greens = displacement_greens(identified);
     progress.begin("irregularity and displacement", site.passages.len() as u64);
     let passages: Vec<PassageResult> = (0..site.passages.len())
         .into_par_iter()
         .map(|i| {
             progress.step();
-            passage_result(identified, i, &forces[i], &rail, &displacement_greens, &grid)
+            passage_result(identified, i, &forces[i], &interaction, &displacement_greens, &grid)
         })
         .collect();
     let indicators = indicators(&passages, &grid, identified.static_force_n[0]);
@@ -111,14 +113,10 @@ fn distribution(identified: &IdentifiedSite) -> Vec<f64> {
     identified.ballast.parameters.distribution(track.sleeper_x_m.len(), track.sensor_sleeper)
 }
 
-fn rail_greens(identified: &IdentifiedSite) -> RailGreens {
-    let sampling = identified.greens.sampling;
-    RailGreens::of_crossing_rail(
-        &identified.track,
-        &distribution(identified),
-        identified.prior.half_m,
-        sampling,
-    )
+/// Wheels on the calibrated track, at the time step of the forces.
+fn interaction(identified: &IdentifiedSite) -> Interaction {
+    let bogie = BogieResponses::new(&identified.site.crossing.vehicle, identified.greens.sampling);
+    Interaction::new(&identified.track, &distribution(identified), &Arc::new(bogie), identified.prior.half_m)
 }
 
 fn displacement_greens(identified: &IdentifiedSite) -> GreensFunctions {
@@ -136,7 +134,7 @@ fn passage_result(
     identified: &IdentifiedSite,
     index: usize,
     forces: &[WheelForce],
-    rail: &RailGreens,
+    interaction: &Interaction,
     displacement_greens: &GreensFunctions,
     grid: &[f64],
 ) -> PassageResult {
@@ -148,8 +146,10 @@ fn passage_result(
     let displacement =
         complementary_displacement(recording, timing, &identified.pattern, &model_raw, COMPLEMENT_HZ);
     let flags = flags(identified, index, &displacement);
+    let position_m = forces.first().map_or(&[][..], |f| &f.position_m);
+    let moving = interaction.wheelset(position_m, identified.direction, identified.static_force_n[index]);
     let wheelsets =
-        forces.iter().map(|f| wheelset_result(identified, index, f, rail, grid, flags.clone())).collect();
+        forces.iter().map(|f| wheelset_result(identified, index, f, &moving, grid, flags.clone())).collect();
     PassageResult {
         passage_id: passage.passage_id,
         speed_m_s: timing.speed_m_s,
@@ -202,7 +202,7 @@ fn wheelset_result(
     identified: &IdentifiedSite,
     index: usize,
     force: &WheelForce,
-    rail: &RailGreens,
+    moving: &Wheelset,
     grid: &[f64],
     flags: Vec<String>,
 ) -> WheelsetResult {
@@ -213,12 +213,12 @@ fn wheelset_result(
     let at_peak = (0..grid.len())
         .min_by(|a, b| (grid[*a] - peak_position_m).abs().total_cmp(&(grid[*b] - peak_position_m).abs()))
         .unwrap_or(0);
-    let irregularity_m = irregularity(
+    let irregularity_m = irregularity_of_wheelset(
         force,
         identified.timings[index].speed_m_s,
         identified.static_force_n[index],
-        rail,
-        &identified.site.crossing.vehicle,
+        moving,
+        (&identified.site.crossing.vehicle, identified.greens.sampling.rate_hz),
         grid,
     );
     WheelsetResult {

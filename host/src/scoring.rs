@@ -53,6 +53,8 @@ pub struct Score {
     pub speed: Vec<f64>,
     /// RMS displacement error while the train passes, relative to the true peak to peak, one per passage.
     pub displacement: Vec<f64>,
+    /// Mean irregularity of all wheelsets against the laser scan, RMS over peak to peak; NaN without a scan.
+    pub irregularity: f64,
     /// Share of wheelsets whose true peak lies inside the interval.
     pub peak_coverage: f64,
     /// Share of grid points whose true force lies inside the interval.
@@ -75,7 +77,11 @@ impl Score {
 
 /// Compares an analysis with the truth of its site.
 pub fn score(analysis: &Analysis, truth: &Truth) -> Score {
-    let mut score = Score { ballast_truth: truth.site.ballast.p1_p2_p3, ..Score::default() };
+    let mut score = Score {
+        ballast_truth: truth.site.ballast.p1_p2_p3,
+        irregularity: irregularity_error(analysis),
+        ..Score::default()
+    };
     let (mut peaks_inside, mut points_inside, mut points) = (0usize, 0usize, 0usize);
     for passage in &analysis.passages {
         let static_force_n =
@@ -131,4 +137,25 @@ fn displacement_error(passage: &crate::analysis::PassageResult, true_m: &[f64]) 
     let high = truth.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     let low = truth.iter().copied().fold(f64::INFINITY, f64::min);
     square.sqrt() / (high - low)
+}
+
+/// Mean irregularity of all wheelsets against the scan in the same band, where both are known: RMS over peak to peak.
+fn irregularity_error(analysis: &Analysis) -> f64 {
+    let Some(scan) = &analysis.scan else { return f64::NAN };
+    let wheels: Vec<_> = analysis.passages.iter().flat_map(|p| &p.wheelsets).collect();
+    let (Some(first), Some(spline)) =
+        (wheels.first(), CubicSpline::new(&scan.position_m, &scan.irregularity_m))
+    else {
+        return f64::NAN;
+    };
+    let ends = [scan.position_m[0], scan.position_m[scan.position_m.len() - 1]];
+    let (mut known, mut squares) = (Vec::new(), Vec::new());
+    for (i, x) in first.position_m.iter().enumerate().filter(|(_, x)| **x >= ends[0] && **x <= ends[1]) {
+        let all: Vec<f64> = wheels.iter().filter_map(|w| w.irregularity_m.get(i)).copied().collect();
+        known.push(spline.at(*x));
+        squares.push((mean(&all) - spline.at(*x)).powi(2));
+    }
+    let high = known.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    let low = known.iter().copied().fold(f64::INFINITY, f64::min);
+    mean(&squares).sqrt() / (high - low)
 }

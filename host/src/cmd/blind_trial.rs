@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
 
 use anyhow::{Context, anyhow, bail};
@@ -21,7 +21,7 @@ use crate::report::trials::figures;
 ///
 /// Every trial draws a site and an effect, simulates it with another mesh, step and damping than the diagnosis has, runs
 /// `cpcm diagnose` in a process of its own that sees only the site, and then opens the answer, which until then is in no
-/// file. Writes trials.json and trials.csv.
+/// file. Writes trials.json and trials.csv after every trial, so that a run that was stopped can be resumed.
 #[derive(Args)]
 #[command(after_help = "Example:\n  cpcm blind-trial --seed 1 --trials 20 --out trials")]
 pub(super) struct BlindTrialArgs {
@@ -31,9 +31,9 @@ pub(super) struct BlindTrialArgs {
     /// Number of trials
     #[arg(long, default_value_t = 20)]
     trials: u64,
-    /// Number of the first trial: continues an earlier run
-    #[arg(long, default_value_t = 0)]
-    first: u64,
+    /// Take over the trials of this seed and version that trials.json in the output directory holds
+    #[arg(long)]
+    resume: bool,
     /// Directory for the scores; created when missing
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
@@ -73,22 +73,22 @@ impl BlindTrialArgs {
             0 => std::thread::available_parallelism().map_or(1, usize::from),
             n => n,
         };
-        let next = AtomicU64::new(self.first);
-        let done: Mutex<BTreeMap<u64, Score>> = Mutex::new(BTreeMap::new());
+        let known = if self.resume { self.known()? } else { BTreeMap::new() };
+        known.iter().for_each(|_| bar.step());
+        let left: Vec<u64> = (0..self.trials).filter(|i| !known.contains_key(i)).collect();
+        let next = AtomicUsize::new(0);
+        let done: Mutex<BTreeMap<u64, Score>> = Mutex::new(known);
         let work = || -> anyhow::Result<()> {
-            loop {
-                let index = next.fetch_add(1, Ordering::Relaxed);
-                if index >= self.first + self.trials {
-                    return Ok(());
-                }
+            while let Some(&index) = left.get(next.fetch_add(1, Ordering::Relaxed)) {
                 let kept = self.keep.then(|| self.out.join(format!("trial-{index}")));
                 let found =
                     one(self.seed, index, kept.as_deref()).with_context(|| format!("trial {index}"))?;
                 let mut done = done.lock().unwrap_or_else(PoisonError::into_inner);
                 done.insert(index, found);
                 bar.step();
-                self.write(&done.values().cloned().collect::<Vec<_>>())?;
+                self.write(&done)?;
             }
+            Ok(())
         };
         std::thread::scope(|scope| {
             let threads: Vec<_> = (0..jobs).map(|_| scope.spawn(work)).collect();
@@ -97,16 +97,50 @@ impl BlindTrialArgs {
         Ok(done.into_inner().unwrap_or_else(PoisonError::into_inner).into_values().collect())
     }
 
-    fn write(&self, scores: &[Score]) -> anyhow::Result<()> {
-        write_atomic(&self.out.join("trials.json"), serde_json::to_string_pretty(scores)?.as_bytes())?;
-        write_atomic(&self.out.join("trials.csv"), csv(scores).as_bytes())?;
-        write_atomic(&self.out.join("table.txt"), table(scores).as_bytes())?;
-        for (name, svg) in figures(scores)? {
+    /// Trials of an earlier run with this seed and version.
+    fn known(&self) -> anyhow::Result<BTreeMap<u64, Score>> {
+        let path = self.out.join("trials.json");
+        if !path.exists() {
+            return Ok(BTreeMap::new());
+        }
+        let records: Vec<Record> = serde_json::from_slice(&read_bytes(&path)?).with_context(|| {
+            format!("{} is not from this version of blind-trial; run without --resume", path.display())
+        })?;
+        let same = |r: &Record| r.seed == self.seed && r.version == VERSION && r.trial < self.trials;
+        Ok(records.into_iter().filter(same).map(|r| (r.trial, r.score)).collect())
+    }
+
+    fn write(&self, done: &BTreeMap<u64, Score>) -> anyhow::Result<()> {
+        let record = |(trial, score): (&u64, &Score)| Record {
+            seed: self.seed,
+            trial: *trial,
+            version: VERSION.to_string(),
+            score: score.clone(),
+        };
+        let records: Vec<Record> = done.iter().map(record).collect();
+        let scores: Vec<Score> = done.values().cloned().collect();
+        write_atomic(&self.out.join("trials.json"), serde_json::to_string_pretty(&records)?.as_bytes())?;
+        write_atomic(&self.out.join("trials.csv"), csv(&scores).as_bytes())?;
+        write_atomic(&self.out.join("table.txt"), table(&scores).as_bytes())?;
+        for (name, svg) in figures(&scores)? {
             write_atomic(&self.out.join(name), svg.as_bytes())?;
         }
         Ok(())
     }
 }
+
+/// A trial in trials.json.
+#[derive(serde::Serialize, serde::Deserialize)]
+struct Record {
+    seed: u64,
+    trial: u64,
+    version: String,
+    #[serde(flatten)]
+    score: Score,
+}
+
+/// Scores of different versions do not mix.
+const VERSION: &str = env!("CARGO_PKG_VERSION");
 
 /// Draws, diagnoses and scores one trial.
 fn one(seed: u64, index: u64, kept: Option<&Path>) -> anyhow::Result<Score> {
@@ -206,7 +240,7 @@ fn table(scores: &[Score]) -> String {
     line("pair, above twice the floor", asked(Question::Pair).filter(strong).collect());
     let mut by: BTreeMap<&str, Vec<&Score>> = BTreeMap::new();
     for s in asked(Question::One) {
-        by.entry(s.answer.effects[0]).or_default().push(s);
+        by.entry(s.answer.effects[0].as_str()).or_default().push(s);
     }
     for (name, list) in by {
         line(&format!("  {name}"), list);

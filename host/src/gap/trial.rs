@@ -16,7 +16,7 @@ use crate::scenario::effects as kinds;
 use crate::scenario::{Effects, Scenario, ScenarioError, read_scenario, simulate};
 
 /// What a trial asks.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Question {
     /// No effect acts.
@@ -30,14 +30,14 @@ pub enum Question {
 }
 
 /// The sealed answer of a trial.
-#[derive(Clone, Debug, serde::Serialize)]
+#[derive(Clone, Debug, serde::Serialize, serde::Deserialize)]
 pub struct Answer {
     /// What is asked.
     pub question: Question,
     /// Names of the effects.
-    pub effects: Vec<&'static str>,
+    pub effects: Vec<String>,
     /// Value of the main parameter of each, as the diagnosis names it.
-    pub parameters: Vec<(&'static str, f64)>,
+    pub parameters: Vec<(String, f64)>,
     /// Change of the signal by the effects, RMS relative to the signal.
     pub strength: f64,
 }
@@ -103,8 +103,10 @@ pub fn draw(seed: u64, index: u64, work: &Path) -> Result<Trial, TrialError> {
     let mut few = scenario.clone();
     few.simulation.passages = STRENGTH_PASSAGES;
     let plain = if names.is_empty() { None } else { Some(simulate(&few, &Silent)?) };
-    let parameters: Vec<(&str, f64)> =
-        names.iter().map(|n| (*n, put(&mut scenario.simulation.effects, n, &mut random))).collect();
+    let parameters: Vec<(String, f64)> = names
+        .iter()
+        .map(|n| ((*n).to_string(), put(&mut scenario.simulation.effects, n, &mut random)))
+        .collect();
     let changed = simulate(&scenario, &Silent)?;
     let strength = plain.map_or(0.0, |p| strength(&p.site, &changed.site));
     let known =
@@ -115,7 +117,12 @@ pub fn draw(seed: u64, index: u64, work: &Path) -> Result<Trial, TrialError> {
     Ok(Trial {
         site: changed.site,
         exclude,
-        answer: Answer { question, effects: names, parameters, strength },
+        answer: Answer {
+            question,
+            effects: names.iter().map(|n| (*n).to_string()).collect(),
+            parameters,
+            strength,
+        },
     })
 }
 
@@ -325,7 +332,7 @@ fn strength(plain: &Site, changed: &Site) -> f64 {
 }
 
 /// Score of one trial.
-#[derive(Clone, Debug, serde::Serialize)]
+#[derive(Clone, Debug, serde::Serialize, serde::Deserialize)]
 pub struct Score {
     /// The answer.
     pub answer: Answer,
@@ -420,7 +427,7 @@ pub fn bins(scores: &[Score]) -> Vec<Bin> {
                 .filter(|s| !s.named.is_empty())
                 .filter(|s| s.probability >= range.0 && s.probability < range.1)
                 .collect();
-            let there = |s: &&&Score| s.answer.effects.contains(&s.named[0].as_str());
+            let there = |s: &&&Score| s.answer.effects.contains(&s.named[0]);
             Bin {
                 range: *range,
                 stated: crate::signal::mean(&of.iter().map(|s| s.probability).collect::<Vec<_>>()),

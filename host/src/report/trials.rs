@@ -23,7 +23,7 @@ const STRENGTH: (f64, f64) = (-2.0, 1.6);
 fn detection(scores: &[Score]) -> Result<String, ReportError> {
     let mut rows: BTreeMap<&str, Vec<&Score>> = BTreeMap::new();
     for s in scores.iter().filter(|s| s.answer.question == Question::One) {
-        rows.entry(s.answer.effects[0]).or_default().push(s);
+        rows.entry(s.answer.effects[0].as_str()).or_default().push(s);
     }
     let n = rows.len().max(1) as f64;
     let mut layers =

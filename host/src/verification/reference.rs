@@ -168,7 +168,7 @@ pub(crate) fn site(pads: PadCase) -> Crossing {
 }
 
 /// One bogie of an X2 car (paper, table 1); what the paper does not give is not used by any check.
-fn vehicle() -> Vehicle {
+pub fn vehicle() -> Vehicle {
     Vehicle {
         kind: "X2".into(),
         cars: 1,

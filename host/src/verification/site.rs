@@ -15,7 +15,6 @@ use crate::progress::Progress;
 use crate::recording::Site;
 use crate::recording::truth::Truth;
 use crate::scoring::{Score, score};
-use crate::signal::{CubicSpline, mean};
 
 /// Scores of all methods on one site.
 pub struct SiteMethods {
@@ -25,8 +24,6 @@ pub struct SiteMethods {
     pub methods: Vec<(&'static str, Score)>,
     /// Ballast of the analysis with intervals, and of the quasi-static fit.
     pub ballast: [[Interval; 3]; 2],
-    /// Mean irregularity of each method against the laser scan, RMS over peak to peak; NaN without a scan.
-    pub irregularity: Vec<f64>,
 }
 
 const OURS: &str = "cpcm analyse";
@@ -68,30 +65,8 @@ pub fn site_methods(site: &Site, truth: &Truth, progress: &dyn Progress) -> Resu
     Ok(SiteMethods {
         site: analysis.crossing.name.clone(),
         methods: all.methods.iter().map(|(name, a)| (*name, score(a, truth))).collect(),
-        irregularity: all.methods.iter().map(|(_, a)| irregularity_error(a)).collect(),
         ballast: [[b.p1_n_m2, b.p2_n_m2, b.p3], [point(p.p1_n_m2), point(p.p2_n_m2), point(p.p3)]],
     })
-}
-
-/// Mean irregularity of all wheelsets against the scan in the same band, where both are known: RMS over peak to peak.
-fn irregularity_error(analysis: &Analysis) -> f64 {
-    let Some(scan) = &analysis.scan else { return f64::NAN };
-    let wheels: Vec<_> = analysis.passages.iter().flat_map(|p| &p.wheelsets).collect();
-    let (Some(first), Some(spline)) =
-        (wheels.first(), CubicSpline::new(&scan.position_m, &scan.irregularity_m))
-    else {
-        return f64::NAN;
-    };
-    let ends = [scan.position_m[0], scan.position_m[scan.position_m.len() - 1]];
-    let (mut known, mut squares) = (Vec::new(), Vec::new());
-    for (i, x) in first.position_m.iter().enumerate().filter(|(_, x)| **x >= ends[0] && **x <= ends[1]) {
-        let all: Vec<f64> = wheels.iter().filter_map(|w| w.irregularity_m.get(i)).copied().collect();
-        known.push(spline.at(*x));
-        squares.push((mean(&all) - spline.at(*x)).powi(2));
-    }
-    let high = known.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-    let low = known.iter().copied().fold(f64::INFINITY, f64::min);
-    mean(&squares).sqrt() / (high - low)
 }
 
 impl SiteMethods {
@@ -154,7 +129,7 @@ impl SiteMethods {
             format!("{:.0}", 1e3 * Score::median(&score.peak_position_m)),
             percent(Score::median(&score.speed), 3),
             percent(Score::median(&score.displacement), 2),
-            percent(self.irregularity.get(method).copied().unwrap_or(f64::NAN), 1),
+            percent(score.irregularity, 1),
             share(score.peak_coverage),
             share(score.waveform_coverage),
             cell(p1, 1e-6, 1),

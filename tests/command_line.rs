@@ -187,3 +187,33 @@ fn property_passage_without_a_train_is_left_out_and_named() {
     assert_eq!(run.status.code(), Some(0), "{error}");
     assert!(error.contains("warning: passage 1 is left out"), "{error}");
 }
+
+// --- blind-trial ----------------------------------------------------------------------------------------------
+
+/// One trial without an effect, as a run leaves it.
+fn trials(version: &str) -> String {
+    let score = r#""answer": {"question": "nothing", "effects": [], "parameters": [], "strength": 0.0},
+        "strength_to_floor": 0.0, "verdict": "no-gap", "named": [], "first_group": [], "probability": 0.0,
+        "right": true, "covered": null, "interval": null, "closed_fraction": 0.0"#;
+    format!(r#"[{{"seed": 3, "trial": 0, "version": "{version}", {score}}}]"#)
+}
+
+#[test]
+fn property_resumed_trials_take_over_what_is_there() {
+    let dir = tempfile::tempdir().unwrap();
+    fs::write(dir.path().join("trials.json"), trials(env!("CARGO_PKG_VERSION"))).unwrap();
+    let args = ["blind-trial", "--seed", "3", "--trials", "1", "--resume", "--out", text(dir.path())];
+    let printed = succeeds(&args);
+    let quiet = printed.lines().find(|l| l.starts_with("no effect: no-gap")).unwrap();
+    assert!(quiet.contains("1 of    1"), "{quiet}");
+}
+
+#[test]
+fn property_damaged_trials_are_not_resumed() {
+    let dir = tempfile::tempdir().unwrap();
+    fs::write(dir.path().join("trials.json"), &trials("0.1.0")[..40]).unwrap();
+    fails(
+        &["blind-trial", "--seed", "3", "--trials", "1", "--resume", "--out", text(dir.path())],
+        &["trials.json", "without --resume"],
+    );
+}

@@ -394,3 +394,58 @@ impl CommonProfile {
         })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn matrix(rows: usize, columns: usize) -> Mat<f64> {
+        Mat::from_fn(rows, columns, |i, j| ((3 * i + 7 * j) as f64).sin() + 0.1 * i as f64)
+    }
+
+    /// Columns that are no part of the profile.
+    const BEYOND: usize = 2;
+
+    #[test]
+    fn property_shapes_respond_like_the_parts_they_stand_for() {
+        let grids = ProfileGrids::force(2.0, 0.1, 0.2, 44.0);
+        let shapes = grids.shapes(46.0);
+        let value: Vec<f64> = (0..grids.len()).map(|i| (i as f64).cos()).collect();
+        let amplitudes = shapes.amplitudes(&value);
+        for (side, axle) in [(Side::Crossing, 0), (Side::Crossing, 1), (Side::Stock, 0), (Side::Stock, 1)] {
+            let class = grids.class(46.0, axle);
+            let len = grids.grid(side).len;
+            let response = matrix(3, len);
+            let by = |entry: &dyn Fn(usize) -> f64| &response * Mat::from_fn(len, 1, |i, _| entry(i));
+            let mut of_parts = Mat::<f64>::zeros(3, 1);
+            for (part, weight) in grids.parts_of(side, class) {
+                of_parts += by(&|i| weight * value[part.first + i]);
+            }
+            let mut of_shapes = Mat::<f64>::zeros(3, 1);
+            for (column, sign) in shapes.of(side, class.leading) {
+                of_shapes += by(&|i| sign * amplitudes[(column + i, 0)]);
+            }
+            assert!((of_parts - of_shapes).norm_max() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn property_expanded_matrices_act_like_those_of_the_shapes() {
+        let grids = ProfileGrids::force(2.0, 0.1, 0.2, 44.0);
+        let shapes = grids.shapes(46.0);
+        let value: Vec<f64> = (0..grids.len() + BEYOND).map(|i| (i as f64).cos()).collect();
+        let short = shapes.amplitudes(&value);
+        let short = Mat::from_fn(shapes.len() + BEYOND, 1, |i, _| match i.checked_sub(shapes.len()) {
+            Some(beyond) => value[grids.len() + beyond],
+            None => short[(i, 0)],
+        });
+        let long = Mat::from_fn(value.len(), 1, |i, _| value[i]);
+        let columns = matrix(4, shapes.len() + BEYOND);
+        let expanded = shapes.expanded_columns(columns.as_ref());
+        assert!((&expanded * &long - &columns * &short).norm_max() < 1e-10);
+        let symmetric = columns.transpose() * &columns;
+        let mut sum = Mat::zeros(value.len(), value.len());
+        shapes.add_expanded(&mut sum, &symmetric);
+        assert!((&sum * &long - expanded.transpose() * (&columns * &short)).norm_max() < 1e-9);
+    }
+}

@@ -95,7 +95,7 @@ impl Interaction {
         for (read, loaded) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
             let rail = usize::from(read != loaded);
             // Both wheelsets meet the same rails and have the same inertia.
-            let own = &rails[read][loaded] + toeplitz(&self.bogie.same_wheelset[rail], n);
+            let own = self.within_wheelset(&rails, read, loaded);
             let mut put = |axle_read: usize, axle_loaded: usize, block: &Mat<f64>| {
                 let (row, column) = (2 * axle_read + read, 2 * axle_loaded + loaded);
                 compliance.submatrix_mut(row * n, column * n, n, n).copy_from(block);
@@ -110,6 +110,12 @@ impl Interaction {
         }
         let stiffness = compliance.partial_piv_lu().inverse();
         Motion { interaction: self, position_m, direction, static_force_n, stiffness, rails }
+    }
+
+    /// Displacement at a contact per force on a contact of the same wheelset, its own contact's compression apart.
+    fn within_wheelset(&self, rails: &RailKernels, read: usize, loaded: usize) -> Mat<f64> {
+        let kernel = &rails[read][loaded];
+        kernel + toeplitz(&self.bogie.same_wheelset[usize::from(read != loaded)], kernel.nrows())
     }
 
     fn rail_kernels(&self, position_m: &[f64]) -> RailKernels {

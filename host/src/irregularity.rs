@@ -43,8 +43,7 @@ pub fn irregularity(
         .zip(&deflection)
         .map(|((f, path), rail)| path - rail - compression_m(*f, vehicle))
         .collect();
-    let banded = brick_band(&without_cubic(&raw), rate_hz, speed_m_s / LONGEST_WAVELENGTH_M, LOW_PASS_HZ);
-    on_grid(&force.position_m, &banded, grid_m)
+    in_band(&raw, rate_hz, speed_m_s, &force.position_m, grid_m)
 }
 
 /// The same without the assumptions that the wheel load is constant, the stock rail unloaded and the rail level under the
@@ -55,7 +54,7 @@ pub fn irregularity_of_wheelset(
     speed_m_s: f64,
     static_force_n: f64,
     wheelset: &Wheelset,
-    (vehicle, rate_hz): (&Vehicle, f64),
+    vehicle: &Vehicle,
     grid_m: &[f64],
 ) -> Vec<f64> {
     let leading = force.wheelset.is_multiple_of(2);
@@ -64,8 +63,13 @@ pub fn irregularity_of_wheelset(
     let raw: Vec<f64> = (force.force_n.iter().zip(path.col_as_slice(0)))
         .map(|(f, path)| path - compression_m(*f, vehicle))
         .collect();
-    let banded = brick_band(&without_cubic(&raw), rate_hz, speed_m_s / LONGEST_WAVELENGTH_M, LOW_PASS_HZ);
-    on_grid(&force.position_m, &banded, grid_m)
+    in_band(&raw, wheelset.rate_hz, speed_m_s, &force.position_m, grid_m)
+}
+
+/// Band-passed path, given at the samples, at `grid_m`.
+fn in_band(path_m: &[f64], rate_hz: f64, speed_m_s: f64, position_m: &[f64], grid_m: &[f64]) -> Vec<f64> {
+    let longest_hz = speed_m_s / LONGEST_WAVELENGTH_M;
+    on_grid(position_m, &brick_band(&without_cubic(path_m), rate_hz, longest_hz, LOW_PASS_HZ), grid_m)
 }
 
 /// Hertz's law.

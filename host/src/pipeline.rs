@@ -218,7 +218,7 @@ fn wheelset_result(
         identified.timings[index].speed_m_s,
         identified.static_force_n[index],
         moving,
-        (&identified.site.crossing.vehicle, identified.greens.sampling.rate_hz),
+        &identified.site.crossing.vehicle,
         grid,
     );
     WheelsetResult {

@@ -135,10 +135,7 @@ fn from_every_start(
 ) -> Option<Fit> {
     let effect = list.last().filter(|e| e.nought().is_none())?;
     let starts = effect.far_starts(hints);
-    let best = starts
-        .par_iter()
-        .filter_map(|c| fit(frame, list, started(state, c), subset, VALLEY).ok())
-        .max_by(by_evidence)?;
+    let best = deepest(frame, list, std::slice::from_ref(state), &starts, subset, VALLEY)?;
     fit(frame, list, best.state, subset, FitOptions::THOROUGH).ok()
 }
 
@@ -184,8 +181,20 @@ fn scout(
     subset: &[usize],
 ) -> Option<Fit> {
     let few: Vec<usize> = subset.iter().copied().step_by(subset.len().div_ceil(SCOUTED).max(1)).collect();
+    deepest(frame, list, states, starts, &few, SCOUT)
+}
+
+/// Best of the fits from all states and starts of the last effect of `list`.
+fn deepest(
+    frame: &Frame,
+    list: &[&dyn Effect],
+    states: &[State],
+    starts: &[Vec<f64>],
+    subset: &[usize],
+    options: FitOptions,
+) -> Option<Fit> {
     let all: Vec<State> = states.iter().flat_map(|s| starts.iter().map(|c| started(s, c))).collect();
-    all.into_par_iter().filter_map(|s| fit(frame, list, s, &few, SCOUT).ok()).max_by(by_evidence)
+    all.into_par_iter().filter_map(|s| fit(frame, list, s, subset, options).ok()).max_by(by_evidence)
 }
 
 /// Near the base model the first derivatives hold; what is accepted is fitted again.

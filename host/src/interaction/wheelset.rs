@@ -3,11 +3,13 @@
 use faer::Mat;
 use faer::linalg::solvers::{PartialPivLu, Solve as _};
 
-use super::{Contacts, Interaction, toeplitz};
+use super::{Contacts, Interaction};
 
 /// A wheelset moving at a speed. Its forces on the crossing rail are known, those on the stock rail follow from them: there is
 /// no irregularity there, but sleepers and roll move that contact too.
 pub struct Wheelset {
+    /// Samples per second.
+    pub rate_hz: f64,
     /// Way of the wheel on the crossing rail relative to that rail, per force deviation there, m/N.
     crossing: Mat<f64>,
     /// The same per force deviation on the stock rail.
@@ -25,17 +27,17 @@ impl Interaction {
     pub fn wheelset(&self, position_m: &[f64], direction: f64, static_force_n: f64) -> Wheelset {
         let n = position_m.len();
         let rails = self.rail_kernels(position_m);
-        let own = |rail: usize| &rails[rail][rail] + toeplitz(&self.bogie.same_wheelset[0], n);
-        let across = |read: usize| &rails[read][1 - read] + toeplitz(&self.bogie.same_wheelset[1], n);
-        let mut stock = own(1);
+        let between = |read: usize, loaded: usize| self.within_wheelset(&rails, read, loaded);
+        let mut stock = between(1, 1);
         let contact = self.bogie.contact_compliance_m_n(static_force_n);
         for i in 0..n {
             stock[(i, i)] += contact;
         }
         Wheelset {
-            crossing: own(0),
-            across: across(0),
-            back: across(1),
+            rate_hz: self.bogie.sampling.rate_hz,
+            crossing: between(0, 0),
+            across: between(0, 1),
+            back: between(1, 0),
             stock: stock.partial_piv_lu(),
             load_m: self.load_deflection_m(&rails, position_m, direction, static_force_n),
         }

@@ -156,7 +156,7 @@ impl Session<'_> {
         let excess = self.scatter.0.max(0.0).sqrt();
         let room = excess > LEAST_EXCESS || c.stage == Stage::Timing || c.relief > asked(RELIEVED, number);
         // What the first effect's description leaves must not be taken for a second one.
-        let least_gain = if number == 0 { LEAST_GAIN } else { FURTHER * LEAST_GAIN };
+        let least_gain = asked((LEAST_GAIN, FURTHER * LEAST_GAIN), number);
         c.full && room && c.gain > least_gain && 2.0 * c.misfit_gain > LEAST_SHARE * misfit
     }
 

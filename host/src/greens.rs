@@ -11,7 +11,7 @@ use faer::c64;
 
 use crate::beam;
 use crate::signal::{AntiAlias, irfft, rfft_frequencies_hz, taper};
-use crate::track::{Side, Track};
+use crate::track::{SensorReceptance, Side, Track};
 
 /// What the Green's functions describe at the sensor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -108,6 +108,17 @@ impl GreensFunctions {
         chain: &Chain,
     ) -> Self {
         let receptance = track.sensor_receptance(&sampling.frequencies_hz(), ballast_n_m2);
+        Self::of_receptance(track, &receptance, sampling, quantity, chain)
+    }
+
+    /// Of a receptance at the frequencies of `sampling`.
+    pub(crate) fn of_receptance(
+        track: &Track,
+        receptance: &SensorReceptance,
+        sampling: GreensSampling,
+        quantity: Quantity,
+        chain: &Chain,
+    ) -> Self {
         let elements = track.node_x_m.len() - 1;
         let phi = |side| {
             (0..elements).map(|e| beam::shear_ratio(track.element_section(side, e), track.step_m)).collect()
@@ -183,6 +194,7 @@ impl GreensFunctions {
         let Some((weights, series)) = self.nodes_at(side, x_m) else { return };
         let len = self.sampling.len as i64;
         let w = weights.map(|w| w * scale);
+        let arch = pulp::Arch::new();
         let mut add = |first_lag: i64, end_lag: i64, offset: i64| {
             let from = (start + first_lag).max(0);
             let to = (start + end_lag).min(target.len() as i64);
@@ -190,11 +202,8 @@ impl GreensFunctions {
                 return;
             }
             let lags = (from - start + offset) as usize..(to - start + offset) as usize;
-            let [a, b, c, d] = series.map(|s| &s[lags.clone()]);
-            let out = &mut target[from as usize..to as usize];
-            for ((((o, a), b), c), d) in out.iter_mut().zip(a).zip(b).zip(c).zip(d) {
-                *o += w[0] * a + w[1] * b + w[2] * c + w[3] * d;
-            }
+            let series = series.map(|s| &s[lags.clone()]);
+            arch.dispatch(AddWeighted { weights: w, series, out: &mut target[from as usize..to as usize] });
         };
         add(-lead, 0, len);
         add(0, len - lead, 0);
@@ -210,6 +219,33 @@ impl GreensFunctions {
         let side = if side == Side::Crossing { 0 } else { 1 };
         let weights = beam::shape(self.shear_ratio[side][element], self.step_m, position - element as f64);
         Some((weights, [0, 1, 2, 3].map(|i| self.node_response(side, element + i / 2, i % 2))))
+    }
+}
+
+/// Adds the weighted sum of the series, as long as `out`, to it.
+struct AddWeighted<'a> {
+    weights: [f64; 4],
+    series: [&'a [f64]; 4],
+    out: &'a mut [f64],
+}
+
+impl pulp::WithSimd for AddWeighted<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, simd: S) {
+        let ([a, b, c, d], w) = (self.series.map(S::as_simd_f64s), self.weights);
+        let (out, out_rest) = S::as_mut_simd_f64s(self.out);
+        let ws = w.map(|w| simd.splat_f64s(w));
+        for ((((o, a), b), c), d) in out.iter_mut().zip(a.0).zip(b.0).zip(c.0).zip(d.0) {
+            let pair = simd.mul_add_f64s(ws[0], *a, simd.mul_f64s(ws[1], *b));
+            let other = simd.mul_add_f64s(ws[2], *c, simd.mul_f64s(ws[3], *d));
+            *o = simd.add_f64s(*o, simd.add_f64s(pair, other));
+        }
+        for ((((o, a), b), c), d) in out_rest.iter_mut().zip(a.1).zip(b.1).zip(c.1).zip(d.1) {
+            let pair = w[0].mul_add(*a, w[1] * b);
+            *o += pair + w[2].mul_add(*c, w[3] * d);
+        }
     }
 }
 

@@ -18,8 +18,8 @@ use faer::linalg::matmul::matmul;
 use faer::linalg::solvers::DenseSolveCore as _;
 use faer::{Accum, Mat, MatRef, Par, c64};
 
-use crate::greens::GreensSampling;
-use crate::greens::moving_response::RailGreens;
+use crate::greens::moving_response::{RailGreens, RailNodes};
+use crate::greens::{Chain, GreensFunctions, GreensSampling, Quantity};
 use crate::recording::Vehicle;
 use crate::signal::{CubicSpline, irfft, taper};
 use crate::track::Track;
@@ -69,11 +69,36 @@ pub type Contacts = [[Mat<f64>; 2]; 2];
 impl Interaction {
     /// For forces within `half_m` of x = 0.
     pub fn new(track: &Track, ballast_n_m2: &[f64], bogie: &Arc<BogieResponses>, half_m: f64) -> Self {
-        Self {
-            rails: RailGreens::of_both_rails(track, ballast_n_m2, half_m, bogie.sampling),
-            companion: companion_compliance(track, ballast_n_m2, half_m, bogie.axle_spacing_m),
-            bogie: Arc::clone(bogie),
-        }
+        let rails = RailGreens::of_both_rails(track, ballast_n_m2, half_m, bogie.sampling);
+        Self::on_rails(rails, track, ballast_n_m2, bogie, half_m)
+    }
+
+    /// The same, and the Green's functions of the sensor: they share the factors of the track, half the work of both.
+    pub fn and_sensor(
+        track: &Track,
+        ballast_n_m2: &[f64],
+        bogie: &Arc<BogieResponses>,
+        half_m: f64,
+        (quantity, chain): (Quantity, &Chain),
+    ) -> (Self, GreensFunctions) {
+        let sampling = bogie.sampling;
+        let nodes = RailNodes::within(track, half_m);
+        let (sensor, pairs) =
+            track.sensor_and_rail_receptances(&sampling.frequencies_hz(), ballast_n_m2, nodes.range());
+        let rails = RailGreens::of_receptances(track, &nodes, &pairs, sampling);
+        let greens = GreensFunctions::of_receptance(track, &sensor, sampling, quantity, chain);
+        (Self::on_rails(rails, track, ballast_n_m2, bogie, half_m), greens)
+    }
+
+    fn on_rails(
+        rails: [[RailGreens; 2]; 2],
+        track: &Track,
+        ballast_n_m2: &[f64],
+        bogie: &Arc<BogieResponses>,
+        half_m: f64,
+    ) -> Self {
+        let companion = companion_compliance(track, ballast_n_m2, half_m, bogie.axle_spacing_m);
+        Self { rails, companion, bogie: Arc::clone(bogie) }
     }
 
     /// Wheels at `position_m`, one per time step on their own clocks, in the order of passing.
@@ -125,7 +150,14 @@ impl Interaction {
 
 /// Displacement at own sample k per force at own sample j, from a periodic impulse response.
 fn toeplitz(series: &[f64], n: usize) -> Mat<f64> {
-    Mat::from_fn(n, n, |k, j| series[(k as i64 - j as i64).rem_euclid(series.len() as i64) as usize])
+    let before = |lags: usize| &series[series.len() - lags..];
+    let mut out = Mat::zeros(n, n);
+    for j in 0..n {
+        let (earlier, later) = out.col_as_slice_mut(j).split_at_mut(j);
+        earlier.copy_from_slice(before(j));
+        later.copy_from_slice(&series[..n - j]);
+    }
+    out
 }
 
 /// For every axle and rail.

@@ -101,6 +101,19 @@ pub struct SensorReceptance {
     pub stock: Vec<Vec<[c64; 2]>>,
 }
 
+/// Receptances between all pairs i ≤ j of neighbouring rail nodes, m/N: `[frequency][pair]`, pairs row by row of i; each
+/// entry is `[read][loaded]` for (crossing, stock), read at node i and loaded at node j.
+pub type RailReceptances = Vec<Vec<[[c64; 2]; 2]>>;
+
+impl SensorReceptance {
+    /// From the degrees of freedom of both rails, `[frequency][node]`.
+    fn of<'a>(frequency_hz: &[f64], solved: impl Iterator<Item = &'a Vec<[c64; 4]>> + Clone) -> Self {
+        let rail =
+            |dof: usize| solved.clone().map(|x| x.iter().map(|v| [v[dof], v[dof + 1]]).collect()).collect();
+        Self { frequency_hz: frequency_hz.to_vec(), crossing: rail(0), stock: rail(2) }
+    }
+}
+
 impl Track {
     /// Track of a site with its nominal design values.
     pub fn of_crossing(crossing: &Crossing, mesh: Mesh) -> Self {
@@ -156,22 +169,9 @@ impl Track {
     /// Receptance between the sensor and all rail nodes, by reciprocity from one unit force at the sensor.
     /// `ballast_n_m2`: stiffness per sleeper.
     pub fn sensor_receptance(&self, frequency_hz: &[f64], ballast_n_m2: &[f64]) -> SensorReceptance {
-        let (crossing, stock) = frequency_hz
-            .par_iter()
-            .map(|f| {
-                let system = self.system(std::f64::consts::TAU * f, ballast_n_m2);
-                let mut x = vec![[ZERO; 4]; self.node_x_m.len()];
-                let seat = self.seat_node(self.sensor_sleeper);
-                x[seat][0] = system.sensor_load[0];
-                x[seat][2] = system.sensor_load[1];
-                system.factor.solve(&mut x);
-                (
-                    x.iter().map(|v| [v[0], v[1]]).collect::<Vec<_>>(),
-                    x.iter().map(|v| [v[2], v[3]]).collect::<Vec<_>>(),
-                )
-            })
-            .unzip();
-        SensorReceptance { frequency_hz: frequency_hz.to_vec(), crossing, stock }
+        let solved = |f: &f64| self.sensor_solution(&self.system(std::f64::consts::TAU * f, ballast_n_m2));
+        let solved: Vec<_> = frequency_hz.par_iter().map(solved).collect();
+        SensorReceptance::of(frequency_hz, solved.iter())
     }
 
     /// Receptance at the sensor to a force on both rails at once, on a grid of `step_m` along the whole track: nodal
@@ -223,25 +223,42 @@ impl Track {
             .collect()
     }
 
-    /// Receptances between all pairs of neighbouring nodes `first` … `last` of both rails, m/N, per frequency:
-    /// `[i][j − i]` for j ≥ i, nodes counted from `first`; each entry is `[read][loaded]` for (crossing, stock) at node i
-    /// and at node j.
+    /// Receptances between all pairs of neighbouring nodes `first` … `last` of both rails.
     pub fn rail_receptances(
         &self,
         frequency_hz: &[f64],
         ballast_n_m2: &[f64],
-        first: usize,
-        last: usize,
-    ) -> Vec<Vec<Vec<[[c64; 2]; 2]>>> {
+        [first, last]: [usize; 2],
+    ) -> RailReceptances {
         frequency_hz
             .par_iter()
-            .map(|f| {
-                let system = self.system(std::f64::consts::TAU * f, ballast_n_m2);
-                let vertical = |b: &Block<4>| [[b[0][0], b[0][2]], [b[2][0], b[2][2]]];
-                let blocks = system.factor.inverse_blocks(first, last);
-                blocks.iter().map(|row| row.iter().map(vertical).collect()).collect()
-            })
+            .map(|f| self.system(std::f64::consts::TAU * f, ballast_n_m2).rail_pairs(first, last))
             .collect()
+    }
+
+    /// [`Self::sensor_receptance`] and [`Self::rail_receptances`] of the same factors.
+    pub fn sensor_and_rail_receptances(
+        &self,
+        frequency_hz: &[f64],
+        ballast_n_m2: &[f64],
+        [first, last]: [usize; 2],
+    ) -> (SensorReceptance, RailReceptances) {
+        let both = |f: &f64| {
+            let system = self.system(std::f64::consts::TAU * f, ballast_n_m2);
+            (self.sensor_solution(&system), system.rail_pairs(first, last))
+        };
+        let (sensor, rails): (Vec<_>, _) = frequency_hz.par_iter().map(both).unzip();
+        (SensorReceptance::of(frequency_hz, sensor.iter()), rails)
+    }
+
+    /// Deflections and rotations of all rail nodes per unit force at the sensor.
+    fn sensor_solution(&self, system: &System) -> Vec<[c64; 4]> {
+        let mut x = vec![[ZERO; 4]; self.node_x_m.len()];
+        let seat = self.seat_node(self.sensor_sleeper);
+        x[seat][0] = system.sensor_load[0];
+        x[seat][2] = system.sensor_load[1];
+        system.factor.solve(&mut x);
+        x
     }
 
     /// Static deflection of both rails at `nodes` under unit forces on both rails at each of them, m/N:
@@ -382,6 +399,14 @@ struct System {
     factor: Factor<4>,
     sensor_load: [c64; 2],
     sensor_free: c64,
+}
+
+impl System {
+    /// One frequency of [`RailReceptances`].
+    fn rail_pairs(&self, first: usize, last: usize) -> Vec<[[c64; 2]; 2]> {
+        let vertical = |b: &Block<4>| [[b[0][0], b[0][2]], [b[2][0], b[2][2]]];
+        self.factor.inverse_blocks(first, last).iter().flatten().map(vertical).collect()
+    }
 }
 
 #[cfg(test)]

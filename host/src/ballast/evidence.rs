@@ -230,13 +230,12 @@ struct LowModel {
 
 impl LowModel {
     fn new(problem: &EvidenceProblem, ballast: &BallastParameters, half_m: f64) -> Self {
-        let (sampling, track) = (GreensSampling::low(), problem.track);
+        let track = problem.track;
         let distribution = ballast.distribution(track.sleeper_x_m.len(), track.sensor_sleeper);
-        let quantity = Quantity::Acceleration;
-        Self {
-            greens: GreensFunctions::new(track, &distribution, sampling, quantity, &Chain::Corrected),
-            interaction: Interaction::new(track, &distribution, &problem.bogie, half_m),
-        }
+        let sensor = (Quantity::Acceleration, &Chain::Corrected);
+        let (interaction, greens) =
+            Interaction::and_sensor(track, &distribution, &problem.bogie, half_m, sensor);
+        Self { greens, interaction }
     }
 
     fn track_model(&self) -> TrackModel<'_> {

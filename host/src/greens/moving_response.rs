@@ -6,7 +6,7 @@ use rayon::prelude::*;
 
 use super::GreensSampling;
 use crate::signal::{irfft, taper};
-use crate::track::Track;
+use crate::track::{RailReceptances, Track};
 
 /// Impulse responses between the nodes of one rail around the crossing.
 #[derive(Clone, Debug)]
@@ -20,8 +20,8 @@ pub struct RailGreens {
     response: Vec<f64>,
 }
 
-/// Impulse responses of every pair of nodes i ≤ j, read at i and loaded at j.
-type PairSeries = Vec<Vec<f64>>;
+/// Impulse responses of every pair of nodes i ≤ j, read at i and loaded at j: `[read][loaded]` for the two rails.
+type PairSeries<const R: usize> = Vec<[[Vec<f64>; R]; R]>;
 
 /// Acausal samples kept: a zero-phase band limit rings before the impulse.
 const LEAD: usize = 16;
@@ -36,16 +36,21 @@ impl RailGreens {
         half_m: f64,
         sampling: GreensSampling,
     ) -> [[Self; 2]; 2] {
-        let nodes = Nodes::within(track, half_m);
+        let nodes = RailNodes::within(track, half_m);
         let receptance = nodes.receptance(track, ballast_n_m2, sampling);
-        let series = [0, 1].map(|read: usize| {
-            [0, 1].map(|loaded: usize| pair_series(&receptance, [read, loaded], nodes.len(), sampling))
-        });
-        // By reciprocity with the rails exchanged, read at j and loaded at i.
+        Self::of_receptances(track, &nodes, &receptance, sampling)
+    }
+
+    /// The same of receptances between `nodes` at the frequencies of `sampling`.
+    pub(crate) fn of_receptances(
+        track: &Track,
+        nodes: &RailNodes,
+        receptance: &RailReceptances,
+        sampling: GreensSampling,
+    ) -> [[Self; 2]; 2] {
+        let series: PairSeries<2> = pair_series(receptance, nodes.len(), sampling);
         [0, 1].map(|read: usize| {
-            [0, 1].map(|loaded: usize| {
-                nodes.greens(track, sampling, &series[read][loaded], &series[loaded][read])
-            })
+            [0, 1].map(|loaded: usize| nodes.greens(track, sampling, &series, [read, loaded]))
         })
     }
 
@@ -56,10 +61,10 @@ impl RailGreens {
         half_m: f64,
         sampling: GreensSampling,
     ) -> Self {
-        let nodes = Nodes::within(track, half_m);
+        let nodes = RailNodes::within(track, half_m);
         let receptance = nodes.receptance(track, ballast_n_m2, sampling);
-        let series = pair_series(&receptance, [0, 0], nodes.len(), sampling);
-        nodes.greens(track, sampling, &series, &series)
+        let series: PairSeries<1> = pair_series(&receptance, nodes.len(), sampling);
+        nodes.greens(track, sampling, &series, [0, 0])
     }
 
     /// Kernel of the moving response: deflection at the wheel (m) per force (N) at the same positions x, one per time
@@ -107,13 +112,13 @@ impl RailGreens {
 }
 
 /// Neighbouring rail nodes around the crossing.
-struct Nodes {
+pub(crate) struct RailNodes {
     first: usize,
     last: usize,
 }
 
-impl Nodes {
-    fn within(track: &Track, half_m: f64) -> Self {
+impl RailNodes {
+    pub(crate) fn within(track: &Track, half_m: f64) -> Self {
         let within = |x: f64| x.abs() <= half_m + 1.01 * track.step_m;
         let first = track.node_x_m.iter().position(|x| within(*x)).unwrap_or(0);
         let last = track.node_x_m.iter().rposition(|x| within(*x));
@@ -124,33 +129,34 @@ impl Nodes {
         self.last - self.first + 1
     }
 
-    fn receptance(
-        &self,
-        track: &Track,
-        ballast_n_m2: &[f64],
-        sampling: GreensSampling,
-    ) -> Vec<Vec<Vec<[[c64; 2]; 2]>>> {
-        track.rail_receptances(&sampling.frequencies_hz(), ballast_n_m2, self.first, self.last)
+    fn receptance(&self, track: &Track, ballast_n_m2: &[f64], sampling: GreensSampling) -> RailReceptances {
+        track.rail_receptances(&sampling.frequencies_hz(), ballast_n_m2, self.range())
     }
 
-    /// From the responses of all pairs, and those with the places of load and reading exchanged.
-    fn greens(
+    /// First and last.
+    pub(crate) fn range(&self) -> [usize; 2] {
+        [self.first, self.last]
+    }
+
+    /// Responses read on one rail and loaded on another.
+    fn greens<const R: usize>(
         &self,
         track: &Track,
         sampling: GreensSampling,
-        there: &PairSeries,
-        back: &PairSeries,
+        series: &PairSeries<R>,
+        [read, loaded]: [usize; 2],
     ) -> RailGreens {
         let n = self.len();
-        let lags = there.first().map_or(0, Vec::len);
+        let lags = kept_lags(sampling);
         let mut response = vec![0.0; lags * n * n];
-        for ((i, j), (there, back)) in pairs(n).zip(there.iter().zip(back)) {
-            let mut put = |loaded: usize, read: usize, series: &[f64]| {
-                let start = (loaded * n + read) * lags;
+        for ((i, j), pair) in pairs(n).zip(series) {
+            let mut put = |at_load: usize, at_read: usize, series: &[f64]| {
+                let start = (at_load * n + at_read) * lags;
                 response[start..start + lags].copy_from_slice(series);
             };
-            put(i, j, back);
-            put(j, i, there);
+            // By reciprocity with the rails exchanged, read at j and loaded at i.
+            put(i, j, &pair[loaded][read]);
+            put(j, i, &pair[read][loaded]);
         }
         RailGreens {
             sampling,
@@ -166,24 +172,35 @@ fn pairs(n: usize) -> impl Iterator<Item = (usize, usize)> {
     (0..n).flat_map(move |i| (i..n).map(move |j| (i, j)))
 }
 
-/// From the upper triangles of the receptances of every frequency, from lag −[`LEAD`] on.
-fn pair_series(
-    receptance: &[Vec<Vec<[[c64; 2]; 2]>>],
-    [read, loaded]: [usize; 2],
+/// Lags of a response, from −[`LEAD`] on.
+fn kept_lags(sampling: GreensSampling) -> usize {
+    LEAD + (MEMORY_S * sampling.rate_hz) as usize
+}
+
+/// From lag −[`LEAD`] on; for one rail, the first, or for both.
+fn pair_series<const R: usize>(
+    receptance: &RailReceptances,
     n: usize,
     sampling: GreensSampling,
-) -> PairSeries {
-    let lags = LEAD + (MEMORY_S * sampling.rate_hz) as usize;
+) -> PairSeries<R> {
     let [pass, stop] = sampling.band_hz;
     let gain: Vec<f64> =
         sampling.frequencies_hz().iter().map(|f| taper(*f, pass, stop) * sampling.rate_hz).collect();
-    let series = |(i, j): &(usize, usize)| {
-        let mut spectrum = vec![c64::new(0.0, 0.0); sampling.len / 2 + 1];
-        for ((value, rows), g) in spectrum.iter_mut().zip(receptance).zip(&gain) {
-            *value = rows[*i][j - i][read][loaded] * *g;
-        }
-        let full = irfft(&spectrum, sampling.len);
-        (0..lags).map(|k| full[(k + sampling.len - LEAD) % sampling.len]).collect()
+    let kept = |spectrum: &Vec<c64>| -> Vec<f64> {
+        let full = irfft(spectrum, sampling.len);
+        (0..kept_lags(sampling)).map(|k| full[(k + sampling.len - LEAD) % sampling.len]).collect()
     };
-    pairs(n).collect::<Vec<_>>().par_iter().map(series).collect()
+    let series = |pair: usize| {
+        let mut spectra: [[Vec<c64>; R]; R] =
+            std::array::from_fn(|_| std::array::from_fn(|_| Vec::with_capacity(receptance.len())));
+        for (pairs, g) in receptance.iter().zip(&gain) {
+            for (spectra, values) in spectra.iter_mut().zip(&pairs[pair]) {
+                for (spectrum, value) in spectra.iter_mut().zip(values) {
+                    spectrum.push(*value * *g);
+                }
+            }
+        }
+        spectra.each_ref().map(|row| row.each_ref().map(kept))
+    };
+    (0..pairs(n).count()).into_par_iter().map(series).collect()
 }

@@ -1,7 +1,11 @@
 //! Train speed from the axle pattern: the recordings of all axles, shifted by their distances, add up coherently
 //! only at the right speed.
 
+mod stack;
+
 use rayon::prelude::*;
+
+use stack::{LANES, Stack};
 
 use super::Recording;
 use crate::vehicle::AxlePattern;
@@ -58,53 +62,18 @@ fn maximum(
         .filter(|(f, _)| *f > band[0] && *f < band[1])
         .collect();
     let spacing = recording.frequency_hz(1);
+    let arch = pulp::Arch::new();
     let energy: Vec<f64> = speeds
         .par_chunks(LANES)
         .flat_map_iter(|some| {
             // A last chunk that is not full repeats its last speed.
             let lanes = std::array::from_fn(|l| some[l.min(some.len() - 1)]);
-            stacked_energies(&lines, spacing, pattern, lanes).into_iter().take(some.len())
+            let stack = Stack::new(&lines, spacing, pattern, lanes);
+            arch.dispatch(stack).into_iter().take(some.len())
         })
         .collect();
     let best = (0..energy.len()).max_by(|a, b| energy[*a].total_cmp(&energy[*b]))?;
     (energy[best] > 0.0).then_some((best, energy))
-}
-
-/// Speeds at a time: the processor's vector registers hold several.
-const LANES: usize = 4;
-
-/// Σ |A(f)|² |Σ_w e^{2πi f s_w / v}|²: energy of the sum of the axle-shifted recordings at each of the speeds v, with s_w
-/// the axle offsets. `lines` are equally spaced, so the phase of each axle advances by a constant factor.
-fn stacked_energies(
-    lines: &[(f64, f64)],
-    spacing_hz: f64,
-    pattern: &AxlePattern,
-    speeds: [f64; LANES],
-) -> [f64; LANES] {
-    let Some((first_hz, _)) = lines.first() else { return [0.0; LANES] };
-    let turns = |f: f64| -> Vec<[[f64; LANES]; 2]> {
-        let phase = |offset: f64, speed: f64| std::f64::consts::TAU * f * offset / speed;
-        let of = |o: &f64| [speeds.map(|v| phase(*o, v).cos()), speeds.map(|v| phase(*o, v).sin())];
-        pattern.offset_m.iter().map(of).collect()
-    };
-    let (mut phasor, advance) = (turns(*first_hz), turns(spacing_hz));
-    let mut energy = [0.0; LANES];
-    for (_, power) in lines {
-        let (mut real, mut imaginary) = ([0.0; LANES], [0.0; LANES]);
-        for ([p_re, p_im], [a_re, a_im]) in phasor.iter_mut().zip(&advance) {
-            for l in 0..LANES {
-                real[l] += p_re[l];
-                imaginary[l] += p_im[l];
-                let (re, im) = (p_re[l], p_im[l]);
-                p_re[l] = re * a_re[l] - im * a_im[l];
-                p_im[l] = re * a_im[l] + im * a_re[l];
-            }
-        }
-        for l in 0..LANES {
-            energy[l] += power * (real[l] * real[l] + imaginary[l] * imaginary[l]);
-        }
-    }
-    energy
 }
 
 /// Offset of the vertex of a parabola through three equally spaced values, in steps from the middle one, limited to ±1.

@@ -30,11 +30,7 @@ impl Track {
             .par_iter()
             .map(|f| self.solution_and_slopes(std::f64::consts::TAU * f, ballast_n_m2, directions))
             .collect();
-        let receptance = |which: usize| SensorReceptance {
-            frequency_hz: frequency_hz.to_vec(),
-            crossing: lines.iter().map(|l| l[which].iter().map(|v| [v[0], v[1]]).collect()).collect(),
-            stock: lines.iter().map(|l| l[which].iter().map(|v| [v[2], v[3]]).collect()).collect(),
-        };
+        let receptance = |which: usize| SensorReceptance::of(frequency_hz, lines.iter().map(|l| &l[which]));
         (receptance(0), (1..=directions.len()).map(receptance).collect())
     }
 
@@ -46,11 +42,7 @@ impl Track {
         directions: &[Vec<f64>],
     ) -> Vec<Vec<[c64; 4]>> {
         let system = self.system(omega, ballast_n_m2);
-        let seat = self.seat_node(self.sensor_sleeper);
-        let mut x = vec![[ZERO; 4]; self.node_x_m.len()];
-        x[seat][0] = system.sensor_load[0];
-        x[seat][2] = system.sensor_load[1];
-        system.factor.solve(&mut x);
+        let x = self.sensor_solution(&system);
         let slopes = self.sleeper_slopes(omega, ballast_n_m2);
         let mut out = vec![x];
         for direction in directions {

@@ -217,3 +217,24 @@ fn property_damaged_trials_are_not_resumed() {
         &["trials.json", "without --resume"],
     );
 }
+
+#[test]
+fn property_poor_hammer_hits_are_refused_before_any_work() {
+    let out = tempfile::tempdir().unwrap();
+    let beam = Path::new(env!("CARGO_MANIFEST_DIR")).join("data/hammer-beam");
+    let diagnose = |files: &[&Path], words: &[&str]| {
+        let (site, at) = (field("reference-1"), out.path().join("diagnosis"));
+        let mut args = vec!["diagnose", text(&site), "--out", text(&at)];
+        files.iter().for_each(|f| args.extend(["--hammer", text(f)]));
+        fails(&args, words);
+        assert!(!at.exists(), "nothing is written");
+    };
+    diagnose(&[&beam.join("camera.csv")], &["hammer's hits", "1 hit", "at least 2"]);
+    diagnose(&[&out.path().join("none.csv")], &["none.csv"]);
+    let table = out.path().join("h.csv");
+    fs::write(&table, "frequency_hz,real_m_n,imaginary_m_n,coherence\n50,1e-9\n").unwrap();
+    diagnose(&[&table], &["h.csv", "line 2", "coherence"]);
+    let universal = out.path().join("h.uff");
+    fs::write(&universal, "    -1\n    58\n").unwrap();
+    diagnose(&[&universal], &["h.uff", "end (-1)"]);
+}

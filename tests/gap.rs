@@ -5,8 +5,12 @@ use std::process::Command;
 
 use arrow_array::cast::AsArray;
 use arrow_array::types::Float64Type;
+use cpcm::ballast::BallastParameters;
 use cpcm::gap::GapError;
+use cpcm::gap::base::nominal_world;
 use cpcm::gap::diagnosis::{DiagnoseOptions, Diagnosis, diagnose};
+use cpcm::gap::hammer::{Hammer, modelled};
+use cpcm::gap::receptance::read_receptance;
 use cpcm::gap::results::{diagnosis_json, write_diagnosis};
 use cpcm::gap::verdict::Verdict;
 use cpcm::progress::Silent;
@@ -92,22 +96,22 @@ fn reference_recordings_without_effect_have_no_gap() {
     assert_eq!(found.verdict, Verdict::NoGap, "{:?}", found.effects);
 }
 
-/// Truth beside the recordings, and names, change nothing.
+/// Corrupted truth beside the recordings and other names do not move a single digit of a full diagnosis.
 #[test]
 fn property_nothing_but_the_recordings_matters() {
     let mut site = small("known-pad-stiffness", 5);
-    let one = diagnosis_json(&quick(&site).unwrap());
+    let one = diagnosis_json(&full(&site));
     site.crossing.name = "another".into();
     let dir = tempfile::tempdir().unwrap();
     let place: PathBuf = dir.path().join("effect-is-void");
     write_site(&place, &site, Format::Csv).unwrap();
     std::fs::write(place.join("truth.toml"), "effects = [\"voided_sleepers\"]\n[[[").unwrap();
     std::fs::write(place.join("truth.parquet"), "garbage").unwrap();
-    let other = diagnosis_json(&quick(&read_site(&place).unwrap()).unwrap());
+    let other = diagnosis_json(&full(&read_site(&place).unwrap()));
     assert_eq!(one, other);
 }
 
-/// Corrupted truth, shuffled passages and other file names do not move a single digit of a full diagnosis.
+/// Shuffled passages change rounding errors only.
 #[test]
 fn property_order_of_the_passages_does_not_matter() {
     let mut site = small("known-wheel-out-of-roundness", 6);
@@ -118,6 +122,57 @@ fn property_order_of_the_passages_does_not_matter() {
     let gap = |d: &serde_json::Value| d["gap"]["before"].as_f64().unwrap();
     assert!((gap(&one) / gap(&other) - 1.0).abs() < tolerance::SUM_ORDER, "{} {}", gap(&one), gap(&other));
     assert_eq!(one["verdict"], other["verdict"]);
+}
+
+/// Receptance of a track with its pads changed, as a table that an analyser might export.
+fn hammer(site: &Site, ballast: BallastParameters, pads: f64) -> Hammer {
+    let mut world = nominal_world(site, ballast).unwrap();
+    world.crossing.pad.stiffness_n_m *= pads;
+    let frequency_hz: Vec<f64> = (10..=260).map(f64::from).collect();
+    let rows: String = modelled(&world, &frequency_hz, SENSOR_X_M)
+        .unwrap()
+        .iter()
+        .zip(&frequency_hz)
+        .map(|(r, f)| format!("{f},{:e},{:e},0.98\n", r.re, r.im))
+        .collect();
+    let file = tempfile::Builder::new().suffix(".csv").tempfile().unwrap();
+    std::fs::write(file.path(), format!("frequency_hz,real_m_n,imaginary_m_n,coherence\n{rows}")).unwrap();
+    Hammer::new(&read_receptance(&[file.path().into()], 250.0).unwrap(), SENSOR_X_M).unwrap()
+}
+
+/// True ballast of two field sites.
+const REFERENCE_1: BallastParameters = BallastParameters { p1_n_m2: 30e6, p2_n_m2: 18e6, p3: 0.35 };
+const KNOWN_PADS: BallastParameters = BallastParameters { p1_n_m2: 32e6, p2_n_m2: 36e6, p3: 0.3 };
+/// Place of the sensor's sleeper at the field sites, metres.
+const SENSOR_X_M: f64 = 0.3;
+
+#[test]
+fn property_a_hammer_says_whether_the_track_is_as_modelled() {
+    let site = small("reference-1", 8);
+    let say = |pads: f64| {
+        let hammer = Some(hammer(&site, REFERENCE_1, pads));
+        let options = DiagnoseOptions { quick: true, hammer, ..DiagnoseOptions::default() };
+        let found = diagnose(&site, &options, &Silent).unwrap();
+        found.remarks.into_iter().find(|r| r.starts_with("hammer")).unwrap()
+    };
+    let (sound, worn) = (say(1.0), say(0.02));
+    assert!(sound.contains("are as modelled"), "{sound}");
+    assert!(worn.contains("is not as modelled"), "{worn}");
+}
+
+/// Recordings that speak for pads three times as stiff: a hammer that felt them agrees, one that felt the nominal ones
+/// overrules.
+#[test]
+fn property_a_hammer_weighs_the_candidates() {
+    let site = small("known-pad-stiffness", 6);
+    let say = |pads: f64| {
+        let hammer = Some(hammer(&site, KNOWN_PADS, pads));
+        diagnose(&site, &DiagnoseOptions { hammer, ..DiagnoseOptions::default() }, &Silent).unwrap()
+    };
+    let (agrees, differs) = (say(3.0), say(1.0));
+    assert_eq!(agrees.effects[0].name, "pad-stiffness");
+    assert!(agrees.remarks.iter().any(|r| r.contains("account for it")), "{:?}", agrees.remarks);
+    assert!(differs.effects.iter().all(|e| e.name != "pad-stiffness"), "{:?}", differs.effects);
 }
 
 /// What a trial hands to the diagnosis holds no trace of its answer.

@@ -11,6 +11,7 @@ pub mod effect;
 pub mod effects;
 pub mod fit;
 pub mod forward;
+pub mod hammer;
 pub mod latent;
 pub mod linear;
 pub mod measure;
@@ -51,6 +52,14 @@ pub enum GapError {
         rate_hz: f64,
         /// Rate of the comparison, Hz.
         step_hz: f64,
+    },
+    /// Hammer hits beyond the rails.
+    #[error("hammer hits at x = {x_m} m; the rails reach from {} to {} m", ends_m[0], ends_m[1])]
+    HammerOutside {
+        /// Place of the hits, metres.
+        x_m: f64,
+        /// Ends of the rails, metres.
+        ends_m: [f64; 2],
     },
     /// No train in a recording.
     #[error("no passage with a train in it is left; the recordings are silent")]

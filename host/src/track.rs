@@ -353,7 +353,9 @@ impl Track {
 
     /// Sleeper with pads, seen from the two rails.
     fn condense(&self, omega: f64, ballast_n_m2: f64) -> CondensedSleeper {
-        let ballast = c64::new(ballast_n_m2, omega * self.ballast_damping_ns_m2);
+        // A sleeper that does not touch its bed is not damped by it either.
+        let damping = if ballast_n_m2 == 0.0 { 0.0 } else { self.ballast_damping_ns_m2 };
+        let ballast = c64::new(ballast_n_m2, omega * damping);
         let c = self.sleeper.compliance(omega, ballast);
         let pad = c64::new(1.0, 0.0) / self.pad.dynamic(omega);
         let seat_stiffness = invert([[c[0][0] + pad, c[0][1]], [c[1][0], c[1][1] + pad]]);

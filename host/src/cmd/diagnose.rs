@@ -9,9 +9,12 @@ use super::output::{print, print_json, warn_skipped};
 use super::progress::Bar;
 use crate::gap::consequences::{ConsequenceError, consequences};
 use crate::gap::diagnosis::{DiagnoseOptions, Diagnosis, diagnose};
+use crate::gap::hammer::{BAND_HZ, Hammer};
+use crate::gap::receptance::read_receptance;
 use crate::gap::results::{diagnosis_json, write_diagnosis};
-use crate::recording::read_site;
+use crate::recording::{Crossing, read_site};
 use crate::report::diagnosis::sentence;
+use crate::track::{Mesh, Track};
 
 /// Say why recordings and simulation of a crossing differ: where, which effect, and how far the gap shrinks with it
 ///
@@ -32,6 +35,14 @@ pub(super) struct DiagnoseArgs {
     /// Leave an effect out of the catalogue; may be given more than once
     #[arg(long = "exclude", value_name = "EFFECT")]
     exclude: Vec<String>,
+    /// Measured receptance of the track: hits on the head of the crossing rail, read by the site's sensor. One CSV file per hit
+    /// (time_s,force_n,acceleration_m_s2), an estimate (frequency_hz,real_m_n,imaginary_m_n,coherence), or a universal file
+    /// (.uff, .unv, dataset 58); may be given more than once
+    #[arg(long = "hammer", value_name = "FILE")]
+    hammer: Vec<PathBuf>,
+    /// Place x of the hits, metres from the nose [default: above the sensor's sleeper]
+    #[arg(long, value_name = "METRES", requires = "hammer", allow_negative_numbers = true)]
+    hammer_x: Option<f64>,
     /// Also analyse the site without and with the effects found, and say what they change in force peaks, irregularity and
     /// ballast
     #[arg(long)]
@@ -46,7 +57,9 @@ impl DiagnoseArgs {
         let site =
             read_site(&self.site).with_context(|| format!("cannot read site {}", self.site.display()))?;
         warn_skipped(&site.skipped);
-        let options = DiagnoseOptions { quick: self.quick, exclude: self.exclude };
+        let x_m = self.hammer_x.unwrap_or_else(|| above_sensor_m(&site.crossing));
+        let hammer = (!self.hammer.is_empty()).then(|| read_hammer(&self.hammer, x_m)).transpose()?;
+        let options = DiagnoseOptions { quick: self.quick, exclude: self.exclude, hammer };
         let mut found = diagnose(&site, &options, &Bar::new())
             .with_context(|| format!("cannot diagnose site {}", self.site.display()))?;
         if self.consequences && !found.effects.is_empty() {
@@ -63,6 +76,17 @@ impl DiagnoseArgs {
         }
         print(&format!("{}report: {}\n", summary(&found), self.out.join("diagnosis.html").display()))
     }
+}
+
+/// Place of the sensor's sleeper, metres.
+fn above_sensor_m(crossing: &Crossing) -> f64 {
+    let track = Track::of_crossing(crossing, Mesh::default());
+    track.sleeper_x_m[track.sensor_sleeper]
+}
+
+fn read_hammer(files: &[PathBuf], x_m: f64) -> anyhow::Result<Hammer> {
+    let receptance = read_receptance(files, BAND_HZ[1]).context("cannot use the hammer's hits")?;
+    Hammer::new(&receptance, x_m).context("cannot use the hammer's hits")
 }
 
 fn summary(d: &Diagnosis) -> String {

@@ -12,6 +12,7 @@ use super::base::{Base, PathPrior, base};
 use super::effect::{Effect, Hints, Stage};
 use super::effects::{COMMON, LATENT};
 use super::fit::{Fit, State};
+use super::hammer::Hammer;
 use super::latent::{Latent, LatentFit};
 use super::measure::{Gap, Prediction};
 use super::node_stage::{NOTABLE, node_gap};
@@ -27,6 +28,8 @@ pub struct DiagnoseOptions {
     pub quick: bool,
     /// Effects that are left out of the catalogue.
     pub exclude: Vec<String>,
+    /// Measured receptance of the track.
+    pub hammer: Option<Hammer>,
 }
 
 /// One effect in the verdict.
@@ -190,6 +193,7 @@ struct Session<'a> {
     split: &'a Split,
     search: &'a [usize],
     base: &'a mut Base,
+    hammer: Option<&'a Hammer>,
     hints: Hints,
     common: Vec<&'static dyn Effect>,
     latent: Vec<&'static dyn Latent>,
@@ -210,7 +214,7 @@ struct Session<'a> {
 impl<'a> Session<'a> {
     fn new(
         site: &Site,
-        options: &DiagnoseOptions,
+        options: &'a DiagnoseOptions,
         split: &'a Split,
         search: &'a [usize],
         base: &'a mut Base,
@@ -220,6 +224,7 @@ impl<'a> Session<'a> {
         let mut session = Self {
             split,
             search,
+            hammer: options.hammer.as_ref(),
             hints: Hints { largest_m_s2 },
             common: COMMON.iter().copied().filter(|e| left_in(e.name())).collect(),
             latent: LATENT.iter().copied().filter(|e| left_in(e.name())).collect(),

@@ -3,8 +3,6 @@
 //! A train is the sum of its bogies: they are 4 m and more apart, where neither wheel nor sleeper under the next bogie
 //! feels them, so superposition holds also over beds that are not linear.
 
-use faer::c64;
-
 use super::world::World;
 use crate::passage::contact::ContactLaw;
 use crate::passage::surface::GRID_M;
@@ -135,7 +133,7 @@ impl Simulator {
         let frequencies = rfft_frequencies_hz(n, rate_hz);
         for (value, f) in spectrum.iter_mut().zip(&frequencies) {
             let omega = std::f64::consts::TAU * f;
-            *value *= self.mounted(*f) * -(omega * omega);
+            *value *= self.sensor.mounted(*f) * -(omega * omega);
         }
         if let Some(range) = self.sensor.range_m_s2 {
             let mut full = irfft(&spectrum, n);
@@ -151,17 +149,6 @@ impl Simulator {
         let mut out = irfft(&spectrum, n);
         out.truncate(motion_m.len());
         out
-    }
-
-    fn mounted(&self, f_hz: f64) -> c64 {
-        match self.sensor.mount {
-            None => c64::new(1.0, 0.0),
-            Some((frequency_hz, damping)) => {
-                let s = f_hz / frequency_hz;
-                let damped = c64::new(0.0, 2.0 * damping * s);
-                (damped + 1.0) / (damped + (1.0 - s * s))
-            }
-        }
     }
 
     /// The recorder's low-pass.
@@ -226,7 +213,8 @@ fn shortened(crossing: &crate::recording::Crossing) -> crate::recording::Crossin
     short
 }
 
-fn supports(world: &World, track: &Track) -> Vec<Support> {
+/// Beds of the sleepers of a track.
+pub(super) fn supports(world: &World, track: &Track) -> Vec<Support> {
     let n = track.sleeper_x_m.len();
     let distribution = world.ballast.distribution(n, track.sensor_sleeper);
     let damping = world.crossing.ballast.damping_ns_m2;

@@ -4,7 +4,9 @@
 //! which part of the response comes from the force (Bendat and Piersol, Random Data, ch. 6). With one hit it is 1 whatever was
 //! measured, so one hit is refused; so is a band in which the hits do not agree or that the hammer did not excite.
 
-use std::path::Path;
+mod uff;
+
+use std::path::{Path, PathBuf};
 
 use faer::c64;
 
@@ -32,6 +34,8 @@ pub struct Receptance {
     pub receptance_m_n: Vec<c64>,
     /// 0 … 1.
     pub coherence: Vec<f64>,
+    /// Hits, 1 where it is not known how many.
+    pub hits: usize,
 }
 
 /// Why hits give no receptance.
@@ -41,12 +45,30 @@ pub enum ReceptanceError {
     #[error(transparent)]
     File(#[from] RecordingError),
     /// Not the expected table.
-    #[error("{file}, line {line}: expected time_s,force_n,acceleration_m_s2")]
+    #[error("{file}, line {line}: expected {header}")]
     Format {
         /// Which file.
         file: String,
         /// Line, from 1.
         line: usize,
+        /// Columns of the table.
+        header: &'static str,
+    },
+    /// Not a universal file that can be used.
+    #[error("{file}, line {line}: {what}")]
+    Universal {
+        /// Which file.
+        file: String,
+        /// Line, from 1.
+        line: usize,
+        /// What is wrong.
+        what: &'static str,
+    },
+    /// No files, or several of which one is an estimate already.
+    #[error("{files} files; give all hits, one file each, or one file with the estimated receptance")]
+    Files {
+        /// Number of files.
+        files: usize,
     },
     /// Too few hits.
     #[error("{hits} hit; coherence needs at least 2, better 5: it is 1 for one hit whatever was measured")]
@@ -97,26 +119,68 @@ const INCOHERENT_PART: f64 = 0.2;
 /// Weakest force in a band over its strongest line anywhere.
 const LEAST_FORCE: f64 = 0.03;
 
+/// Columns of a hit.
+const HIT: &str = "time_s,force_n,acceleration_m_s2";
+/// Columns of an estimated receptance.
+const ESTIMATE: &str = "frequency_hz,real_m_n,imaginary_m_n,coherence";
+/// Samples of a hit.
+const LEAST_SAMPLES: usize = 64;
+
+/// Reads hits, or one receptance that was estimated elsewhere: tables, or universal files (`.uff`, `.unv`). Lines below
+/// `high_hz`.
+pub fn read_receptance(files: &[PathBuf], high_hz: f64) -> Result<Receptance, ReceptanceError> {
+    let mut hits = Vec::new();
+    for file in files {
+        let estimate = match read_one(file)? {
+            uff::Content::Hits(mut some) => {
+                hits.append(&mut some);
+                continue;
+            }
+            uff::Content::Estimate(estimate) => estimate,
+        };
+        if files.len() > 1 {
+            return Err(ReceptanceError::Files { files: files.len() });
+        }
+        return Ok(estimate);
+    }
+    if files.is_empty() {
+        return Err(ReceptanceError::Files { files: 0 });
+    }
+    Receptance::of_hits(&hits, high_hz)
+}
+
+fn read_one(file: &Path) -> Result<uff::Content, ReceptanceError> {
+    let universal =
+        file.extension().is_some_and(|e| e.eq_ignore_ascii_case("uff") || e.eq_ignore_ascii_case("unv"));
+    let text = String::from_utf8_lossy(&read_bytes(file)?).into_owned();
+    let name = file.display().to_string();
+    if universal {
+        return uff::read(&name, &text);
+    }
+    if text.lines().next().map(str::trim) == Some(ESTIMATE) {
+        let rows = table::<4>(&name, &text, ESTIMATE)?;
+        let rows: Vec<&[f64; 4]> = rows.iter().filter(|r| r[0] > 0.0).collect();
+        return Ok(uff::Content::Estimate(Receptance {
+            frequency_hz: rows.iter().map(|r| r[0]).collect(),
+            receptance_m_n: rows.iter().map(|r| c64::new(r[1], r[2])).collect(),
+            coherence: rows.iter().map(|r| r[3].clamp(0.0, 1.0)).collect(),
+            hits: 1,
+        }));
+    }
+    hit(&name, &text).map(|h| uff::Content::Hits(vec![h]))
+}
+
 /// Reads a hit from a table with the columns `time_s,force_n,acceleration_m_s2`, evenly sampled.
 pub fn read_hit(file: &Path) -> Result<Hit, ReceptanceError> {
-    let wrong = |line: usize| ReceptanceError::Format { file: file.display().to_string(), line };
-    let bytes = read_bytes(file)?;
-    let text = String::from_utf8_lossy(&bytes);
-    let mut lines = text.lines();
-    if lines.next().map(str::trim) != Some("time_s,force_n,acceleration_m_s2") {
-        return Err(wrong(1));
-    }
-    let rows: Vec<[f64; 3]> = lines
-        .enumerate()
-        .map(|(i, line)| {
-            let mut cells = line.split(',').map(|c| c.trim().parse::<f64>().ok().filter(|v| v.is_finite()));
-            let mut next = || cells.next().flatten().ok_or_else(|| wrong(i + 2));
-            Ok([next()?, next()?, next()?])
-        })
-        .collect::<Result<_, ReceptanceError>>()?;
+    hit(&file.display().to_string(), &String::from_utf8_lossy(&read_bytes(file)?))
+}
+
+fn hit(file: &str, text: &str) -> Result<Hit, ReceptanceError> {
+    let rows = table::<3>(file, text, HIT)?;
+    let wrong = |line: usize| ReceptanceError::Format { file: file.into(), line, header: HIT };
     let (Some(first), Some(last)) = (rows.first(), rows.last()) else { return Err(wrong(2)) };
     let span_s = last[0] - first[0];
-    if rows.len() < 64 || span_s <= 0.0 {
+    if rows.len() < LEAST_SAMPLES || span_s <= 0.0 {
         return Err(wrong(rows.len() + 1));
     }
     Ok(Hit {
@@ -124,6 +188,29 @@ pub fn read_hit(file: &Path) -> Result<Hit, ReceptanceError> {
         force_n: rows.iter().map(|r| r[1]).collect(),
         acceleration_m_s2: rows.iter().map(|r| r[2]).collect(),
     })
+}
+
+/// Finite numbers under a header.
+fn table<const N: usize>(
+    file: &str,
+    text: &str,
+    header: &'static str,
+) -> Result<Vec<[f64; N]>, ReceptanceError> {
+    let wrong = |line: usize| ReceptanceError::Format { file: file.into(), line, header };
+    let mut lines = text.lines();
+    if lines.next().map(str::trim) != Some(header) {
+        return Err(wrong(1));
+    }
+    lines
+        .enumerate()
+        .map(|(i, line)| {
+            let cells: Vec<f64> = line
+                .split(',')
+                .map(|c| c.trim().parse::<f64>().ok().filter(|v| v.is_finite()).ok_or_else(|| wrong(i + 2)))
+                .collect::<Result<_, _>>()?;
+            <[f64; N]>::try_from(cells).map_err(|_| wrong(i + 2))
+        })
+        .collect()
 }
 
 impl Receptance {
@@ -168,6 +255,7 @@ impl Receptance {
             receptance_m_n: lines.iter().zip(&sums).map(receptance).collect(),
             coherence: sums.iter().map(|s| s.0.norm_sqr() / (s.1 * s.2).max(f64::MIN_POSITIVE)).collect(),
             frequency_hz: lines,
+            hits: hits.len(),
         })
     }
 
@@ -186,6 +274,7 @@ impl Receptance {
             frequency_hz: inside.iter().map(|k| self.frequency_hz[*k]).collect(),
             receptance_m_n: inside.iter().map(|k| self.receptance_m_n[*k]).collect(),
             coherence: inside.iter().map(|k| self.coherence[*k]).collect(),
+            hits: self.hits,
         })
     }
 }

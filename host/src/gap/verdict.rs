@@ -23,7 +23,7 @@ pub enum Verdict {
 const NO_GAP: f64 = 0.6;
 /// Closed fraction from which the gap counts as explained, and as partly explained.
 const EXPLAINED: f64 = 0.75;
-const PARTLY: f64 = 0.35;
+const PARTLY: f64 = 0.5;
 
 /// How far a gap is above its floor, in quadrature.
 pub fn excess(gap: f64, floor: f64) -> f64 {

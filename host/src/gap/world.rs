@@ -1,5 +1,7 @@
 //! What the diagnosis assumes of a site: everything that the forward simulation needs, as plain values.
 
+use faer::c64;
+
 use super::splines::PathSplines;
 use crate::ballast::BallastParameters;
 use crate::passage::Profile;
@@ -110,6 +112,18 @@ impl Default for SensorModel {
 }
 
 impl SensorModel {
+    /// Motion of the sensor over that of the sleeper.
+    pub fn mounted(&self, f_hz: f64) -> c64 {
+        match self.mount {
+            None => c64::new(1.0, 0.0),
+            Some((frequency_hz, damping)) => {
+                let s = f_hz / frequency_hz;
+                let damped = c64::new(0.0, 2.0 * damping * s);
+                (damped + 1.0) / (damped + (1.0 - s * s))
+            }
+        }
+    }
+
     /// Sensitivity at a temperature.
     pub fn gain_at(&self, temperature_c: f64) -> f64 {
         self.gain + self.gain_per_kelvin * (temperature_c - REFERENCE_C)

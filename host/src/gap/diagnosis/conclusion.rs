@@ -4,6 +4,7 @@ use super::{Diagnosis, MOST_SURE, Named, Session};
 use crate::gap::GapError;
 use crate::gap::effect::{Scale, Stage};
 use crate::gap::fit::{Fit, FitOptions, fit, simulate};
+use crate::gap::hammer::{Agreement, BAND_HZ};
 use crate::gap::latent::LatentFit;
 use crate::gap::measure::{Gap, Prediction, measure, predictions};
 use crate::gap::verdict::{Verdict, verdict};
@@ -72,9 +73,11 @@ impl Session<'_> {
         }
         let verdict =
             if self.untrusted { Verdict::Unexplained } else { verdict(&gap, &self.named, untenable) };
-        let stage = match self.foreign_scan {
-            true => Some(Stage::Geometry),
-            false => crate::gap::verdict::stage(verdict, &self.named, &self.ranking),
+        let track = self.ask_hammer(base_world, &after_world)?;
+        let stage = match (self.foreign_scan, verdict, self.named.is_empty()) {
+            (true, ..) => Some(Stage::Geometry),
+            (false, Verdict::Unexplained, true) if track == Some(Agreement::Differs) => Some(Stage::Track),
+            _ => crate::gap::verdict::stage(verdict, &self.named, &self.ranking),
         };
         progress.step();
         Ok(Diagnosis {
@@ -94,6 +97,30 @@ impl Session<'_> {
             consequences: None,
             seconds: 0.0,
         })
+    }
+
+    /// Says how far the models are from the measured receptance; `None` without one.
+    fn ask_hammer(&mut self, base: &World, after: &World) -> Result<Option<Agreement>, GapError> {
+        let Some(hammer) = self.hammer else { return Ok(None) };
+        let (before, with) = (hammer.deviation(base)?, hammer.deviation(after)?);
+        let agreement = Agreement::of(before);
+        let told = match (agreement, Agreement::of(with)) {
+            (Agreement::Agrees, _) => {
+                "rails, pads, sleepers and ballast are as modelled; look for the gap elsewhere"
+            }
+            (_, Agreement::Agrees) => "the effects found account for it",
+            (Agreement::Doubtful, _) => "which tells nothing for sure",
+            (Agreement::Differs, _) => "something of rails, pads, sleepers or ballast is not as modelled",
+        };
+        self.remarks.push(format!(
+            "hammer: the receptance of the base model is {:.0} % off the measured one between {:.0} and {:.0} Hz (median), {:.0} % with \
+             the effects named: {told}",
+            100.0 * before,
+            BAND_HZ[0],
+            BAND_HZ[1],
+            100.0 * with
+        ));
+        Ok(Some(agreement))
     }
 
     /// Parameters with intervals of the accepted effects.

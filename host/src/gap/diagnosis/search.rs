@@ -8,6 +8,7 @@ use crate::gap::data::{energies, own_energy};
 use crate::gap::effect::{ActsOn, Effect, Stage};
 use crate::gap::fit::{Fit, FitOptions, State, fit, settled, simulate};
 use crate::gap::forward::Response;
+use crate::gap::hammer::Hammer;
 use crate::gap::latent::{Latent, LatentFit, Scene};
 use crate::gap::measure;
 use crate::gap::select::{Standing, Tried, gain, round};
@@ -167,14 +168,19 @@ impl Session<'_> {
             .filter_map(|t| t.fit.as_ref())
             .map(Fit::inflation)
             .fold(reference.inflation(), f64::min);
+        let struck = self.struck(&reference.state, &self.accepted);
         let common = tried.iter().map(|t| {
+            let list: Vec<&'static dyn Effect> = self.accepted.iter().copied().chain([t.effect]).collect();
+            let heard = t.fit.as_ref().map_or(0.0, |f| self.struck(&f.state, &list) - struck);
             let (gain, full) = match &t.fit {
                 // A strength at the end of its range is no strength but a fit that found no other way.
                 Some(f) => (
                     f.log_evidence - reference.log_evidence,
                     inside_ranges(t.effect, f)
                         && large_enough(t.effect, f, inflation)
-                        && self.borne_out(t.effect, f),
+                        && self.borne_out(t.effect, f)
+                        // What the hammer denies as firmly as an effect must show itself is not there.
+                        && heard > -LEAST_GAIN,
                 ),
                 None => (t.screened.min(LEAST_GAIN), false),
             };
@@ -182,9 +188,9 @@ impl Session<'_> {
             Candidate {
                 name: t.effect.name(),
                 stage: t.effect.stage(),
-                gain: gain / inflation,
+                gain: gain / inflation + heard,
                 misfit_gain,
-                relief: misfit_gain / inflation,
+                relief: misfit_gain / inflation + heard,
                 full,
                 acts_on: ActsOn::Panel,
             }
@@ -209,6 +215,12 @@ impl Session<'_> {
             }
         });
         common.chain(latent).collect()
+    }
+
+    /// Log likelihood of the measured receptance, nought without one.
+    fn struck(&self, state: &State, effects: &[&'static dyn Effect]) -> f64 {
+        let of = |h: &Hammer| h.log_likelihood(&state.world(&self.base.frame, effects));
+        self.hammer.and_then(|h| of(h).ok()).unwrap_or(0.0)
     }
 
     fn explore(&mut self) -> Result<Vec<Explored>, GapError> {

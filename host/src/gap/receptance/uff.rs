@@ -1,0 +1,298 @@
+//! Universal files, dataset 58 as text (functions at nodal degrees of freedom), as analysers export them: frequency
+//! responses with their coherence, or hits as time series.
+//!
+//! Fields are separated by blanks, which the prescribed widths guarantee. Lines of a dataset 58, counted from 1: 1 to 5 text, 6
+//! kind of function, 7 form of the data, 8 to 11 axes (abscissa, numerator, denominator, z), then the values (Structural
+//! Dynamics Research Laboratory, University of Cincinnati: Universal File Formats for Modal Analysis Testing).
+
+use faer::c64;
+
+use super::{Hit, Receptance, ReceptanceError};
+
+/// What an axis means (`specific data type`).
+const DISPLACEMENT: i64 = 8;
+const VELOCITY: i64 = 11;
+const ACCELERATION: i64 = 12;
+const FORCE: i64 = 13;
+/// Kinds of function.
+const TIME_RESPONSE: i64 = 1;
+const FREQUENCY_RESPONSE: i64 = 4;
+const COHERENCE: i64 = 6;
+/// Most values of a function.
+const MOST_VALUES: usize = 1 << 24;
+
+/// What a file holds.
+#[derive(Debug)]
+pub(super) enum Content {
+    /// Time series of hammer and sensor.
+    Hits(Vec<Hit>),
+    /// Estimated by the analyser.
+    Estimate(Receptance),
+}
+
+/// One dataset 58.
+struct Function {
+    kind: i64,
+    numerator: i64,
+    denominator: i64,
+    /// Abscissas: Hz or s.
+    at: Vec<f64>,
+    value: Vec<c64>,
+}
+
+/// Reads a file; `file` names it in errors.
+pub(super) fn read(file: &str, text: &str) -> Result<Content, ReceptanceError> {
+    let wrong =
+        |line: usize, what: &'static str| ReceptanceError::Universal { file: file.into(), line, what };
+    let lines: Vec<&str> = text.lines().collect();
+    let mut functions = Vec::new();
+    let mut at = 0;
+    while at < lines.len() {
+        if lines[at].trim() != "-1" {
+            at += 1;
+            continue;
+        }
+        let Some(kind) = lines.get(at + 1).map(|l| l.trim()) else { break };
+        let begin = at + 2;
+        let length = lines[begin.min(lines.len())..].iter().position(|l| l.trim() == "-1");
+        let Some(length) = length else { return Err(wrong(lines.len(), "a dataset without its end (-1)")) };
+        let body = &lines[begin..begin + length];
+        let at_line = |(line, what): (usize, &'static str)| wrong(begin + line, what);
+        match kind {
+            "58" => functions.push(function(body).map_err(at_line)?),
+            "164" => units(body).map_err(at_line)?,
+            k if k.starts_with("58") => {
+                return Err(wrong(at + 2, "a binary dataset 58; export it as text"));
+            }
+            _ => {}
+        }
+        at = begin + length + 1;
+    }
+    content(functions).map_err(|what| wrong(lines.len(), what))
+}
+
+/// The dataset of units must say SI.
+fn units(body: &[&str]) -> Result<(), (usize, &'static str)> {
+    let code = body.first().and_then(|l| l.split_whitespace().next());
+    if code == Some("1") { Ok(()) } else { Err((1, "units other than SI (dataset 164, code 1)")) }
+}
+
+fn function(body: &[&str]) -> Result<Function, (usize, &'static str)> {
+    let integers = |line: usize| -> Vec<i64> {
+        let words = body.get(line - 1).map_or("", |l| l).split_whitespace();
+        words.map_while(|w| w.parse().ok()).collect()
+    };
+    let kind = *integers(6).first().ok_or((6, "no kind of function"))?;
+    let [numerator, denominator] = [(9, "no numerator"), (10, "no denominator")]
+        .map(|(line, what)| (integers(line).first().copied(), line, what));
+    let numerator = numerator.0.ok_or((numerator.1, numerator.2))?;
+    // A time series has none.
+    let denominator = denominator.0.unwrap_or(0);
+    let form: Vec<f64> =
+        body.get(6).map_or("", |l| l).split_whitespace().map_while(|w| w.parse().ok()).collect();
+    let [ordinate, count, even, first, step] =
+        form.get(..5).and_then(|f| f.try_into().ok()).ok_or((7, "no form of the data"))?;
+    let complex = match ordinate as i64 {
+        2 | 4 => false,
+        5 | 6 => true,
+        _ => return Err((7, "an unknown type of data; 2, 4, 5, 6 are known")),
+    };
+    let count = if count >= 2.0 && count <= MOST_VALUES as f64 {
+        count as usize
+    } else {
+        return Err((7, "no or too many values"));
+    };
+    let even = even != 0.0;
+    if even && !(step > 0.0 && step.is_finite() && first.is_finite()) {
+        return Err((7, "a spacing that is not positive"));
+    }
+    let mut numbers = Vec::new();
+    for (i, line) in body.iter().enumerate().skip(11) {
+        for word in line.split_whitespace() {
+            let value: f64 =
+                word.replace(['D', 'd'], "E").parse().map_err(|_| (i + 1, "a value that is no number"))?;
+            numbers.push(if value.is_finite() {
+                value
+            } else {
+                return Err((i + 1, "a value that is not finite"));
+            });
+        }
+    }
+    let parts = usize::from(!even) + 1 + usize::from(complex);
+    if numbers.len() != parts * count {
+        return Err((7, "not as many values as stated"));
+    }
+    let of = |row: &[f64]| {
+        let row = if even { row } else { &row[1..] };
+        c64::new(row[0], if complex { row[1] } else { 0.0 })
+    };
+    let rows = || numbers.chunks_exact(parts);
+    Ok(Function {
+        kind,
+        numerator,
+        denominator,
+        at: rows().enumerate().map(|(k, row)| if even { first + k as f64 * step } else { row[0] }).collect(),
+        value: rows().map(of).collect(),
+    })
+}
+
+fn content(functions: Vec<Function>) -> Result<Content, &'static str> {
+    let is = |kind: i64| functions.iter().find(move |f| f.kind == kind);
+    let Some(response) = is(FREQUENCY_RESPONSE) else { return hits(&functions) };
+    let Some(coherence) = is(COHERENCE) else {
+        return Err("a frequency response without its coherence (function type 6)");
+    };
+    if coherence.at != response.at {
+        return Err("coherence and frequency response at different frequencies");
+    }
+    if response.denominator != FORCE {
+        return Err("a frequency response that is not per force (type 13)");
+    }
+    let order = order(response.numerator)?;
+    let lines: Vec<usize> = (0..response.at.len()).filter(|k| response.at[*k] > 0.0).collect();
+    let receptance = |k: &usize| {
+        let iw = c64::new(0.0, std::f64::consts::TAU * response.at[*k]);
+        response.value[*k] / iw.powu(order)
+    };
+    Ok(Content::Estimate(Receptance {
+        frequency_hz: lines.iter().map(|k| response.at[*k]).collect(),
+        receptance_m_n: lines.iter().map(receptance).collect(),
+        coherence: lines.iter().map(|k| coherence.value[*k].re.clamp(0.0, 1.0)).collect(),
+        hits: 1,
+    }))
+}
+
+/// Derivatives by time between displacement and what was measured.
+fn order(numerator: i64) -> Result<u32, &'static str> {
+    match numerator {
+        DISPLACEMENT => Ok(0),
+        VELOCITY => Ok(1),
+        ACCELERATION => Ok(2),
+        _ => Err("a response that is neither displacement, velocity nor acceleration (types 8, 11, 12)"),
+    }
+}
+
+/// Series of force and of acceleration, taken in pairs as they come.
+fn hits(functions: &[Function]) -> Result<Content, &'static str> {
+    let series = |what: i64| functions.iter().filter(move |f| f.kind == TIME_RESPONSE && f.numerator == what);
+    let hits: Vec<Hit> = series(FORCE)
+        .zip(series(ACCELERATION))
+        .map(|(force, response)| {
+            let n = force.at.len();
+            let span_s = force.at[n - 1] - force.at[0];
+            if response.at != force.at || span_s.is_nan() || span_s <= 0.0 {
+                return Err("force and acceleration at different times");
+            }
+            let real = |f: &Function| f.value.iter().map(|v| v.re).collect();
+            Ok(Hit {
+                rate_hz: (n - 1) as f64 / span_s,
+                force_n: real(force),
+                acceleration_m_s2: real(response),
+            })
+        })
+        .collect::<Result<_, _>>()?;
+    if hits.is_empty() {
+        return Err("neither a frequency response (type 4) nor series of force and acceleration (type 1)");
+    }
+    Ok(Content::Hits(hits))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A dataset 58 as the format prescribes it.
+    fn dataset(kind: i64, numerator: i64, denominator: i64, complex: bool, values: &[c64]) -> String {
+        let mut text = "    -1\n    58\nNONE\nNONE\n22-Nov-26 12:00:00\nNONE\nNONE\n".to_string();
+        text += &format!(
+            "{kind:5}{:10}{:5}{:10} {:10}{:10}{:4} {:10}{:10}{:4}\n",
+            1, 1, 0, "NONE", 1, 3, "NONE", 2, 3
+        );
+        text += &format!(
+            "{:10}{:10}{:10}{:13.5e}{:13.5e}{:13.5e}\n",
+            if complex { 5 } else { 2 },
+            values.len(),
+            1,
+            0.0,
+            2.0,
+            0.0
+        );
+        for axis in [18, numerator, denominator, 0] {
+            text += &format!("{axis:10}{:5}{:5}{:5} {:20} {:20}\n", 0, 0, 0, "NONE", "NONE");
+        }
+        let numbers: Vec<f64> =
+            values.iter().flat_map(|v| if complex { vec![v.re, v.im] } else { vec![v.re] }).collect();
+        for row in numbers.chunks(6) {
+            text += &row.iter().map(|v| format!("{v:13.5e}")).collect::<String>();
+            text.push('\n');
+        }
+        text + "    -1\n"
+    }
+
+    fn frequency_response() -> String {
+        // Accelerance of a spring, k = 1e6 N/m: −ω²/k.
+        let accelerance: Vec<c64> = (0..50)
+            .map(|k| c64::new(-(std::f64::consts::TAU * 2.0 * f64::from(k)).powi(2) / 1e6, 0.0))
+            .collect();
+        dataset(4, ACCELERATION, FORCE, true, &accelerance)
+            + &dataset(6, 0, 0, false, &[c64::new(0.97, 0.0); 50])
+    }
+
+    #[test]
+    fn analytic_accelerance_of_a_spring_is_its_compliance() {
+        let Content::Estimate(found) = read("a.uff", &frequency_response()).unwrap() else { panic!("hits") };
+        assert_eq!(found.frequency_hz.len(), 49, "nothing at 0 Hz");
+        assert!(found.receptance_m_n.iter().all(|r| (r * 1e6 - 1.0).norm() < 1e-4));
+        assert!(found.coherence.iter().all(|c| (c - 0.97).abs() < 1e-12));
+    }
+
+    #[test]
+    fn property_series_are_taken_in_pairs() {
+        let series =
+            |size: f64| -> Vec<c64> { (0..64).map(|k| c64::new(size * f64::from(k), 0.0)).collect() };
+        let text =
+            dataset(1, FORCE, 0, false, &series(1.0)) + &dataset(1, ACCELERATION, 0, false, &series(2.0));
+        let Content::Hits(found) = read("a.uff", &text).unwrap() else { panic!("an estimate") };
+        assert_eq!((found.len(), found[0].rate_hz), (1, 0.5));
+        assert_eq!((found[0].force_n[3], found[0].acceleration_m_s2[3]), (3.0, 6.0));
+    }
+
+    #[test]
+    fn property_what_is_not_understood_is_refused_with_its_line() {
+        let text = frequency_response();
+        let ones = [c64::new(1.0, 0.0); 4];
+        let coherence = dataset(6, 0, 0, false, &ones);
+        let cases = [
+            ("without its end", text.trim_end().trim_end_matches("-1").to_string()),
+            ("coherence", dataset(4, ACCELERATION, FORCE, true, &ones)),
+            ("binary", text.replacen("    58\n", "    58b     1     2\n", 1)),
+            ("SI", format!("    -1\n   164\n         3 inches\n    -1\n{text}")),
+            ("per force", dataset(4, ACCELERATION, 0, true, &ones) + &coherence),
+            ("neither displacement", dataset(4, FORCE, FORCE, true, &ones) + &coherence),
+            ("finite", text.replace("9.70000e-1", "       NaN")),
+            ("neither a frequency response", dataset(2, FORCE, 0, false, &ones)),
+        ];
+        for (what, text) in cases {
+            let error = read("a.uff", &text).unwrap_err();
+            let named =
+                matches!(error, ReceptanceError::Universal { .. }) && error.to_string().contains(what);
+            assert!(named, "{what}: {error}");
+        }
+    }
+
+    /// Cut anywhere, and with any byte changed, it is read or refused.
+    #[test]
+    fn property_damaged_files_do_not_panic() {
+        let text = frequency_response();
+        let mut random = crate::passage::random::Random::new(5, 0);
+        for _ in 0..2000 {
+            let mut bytes = text.clone().into_bytes();
+            bytes.truncate((random.unit() * bytes.len() as f64) as usize + 1);
+            for _ in 0..3 {
+                let k = (random.unit() * bytes.len() as f64) as usize % bytes.len();
+                bytes[k] = (random.unit() * 256.0) as u8;
+            }
+            let _ = read("a.uff", &String::from_utf8_lossy(&bytes));
+        }
+    }
+}

@@ -3,6 +3,8 @@
 pub mod evidence;
 pub mod quasi_static;
 
+use crate::track::Track;
+
 /// Three-parameter distribution (paper, fig. 7): outer stiffness p1, stiffness p2 of the crossing sleeper, shape p3.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BallastParameters {
@@ -64,10 +66,30 @@ impl BallastParameters {
         Self::from_vector(&z)
     }
 
+    /// Stiffness of all sleepers of a track, N/m², known factors included.
+    pub fn bed(&self, track: &Track) -> Vec<f64> {
+        factored(track, self.distribution(track.sleeper_x_m.len(), track.sensor_sleeper))
+    }
+
+    /// Derivatives of [`Self::bed`] by the entries of [`Self::to_vector`].
+    pub fn bed_slopes(&self, track: &Track) -> [Vec<f64>; 3] {
+        self.slopes(track.sleeper_x_m.len(), track.sensor_sleeper).map(|s| factored(track, s))
+    }
+
     /// Stiffness of all sleepers, N/m².
     pub fn distribution(&self, n_sleepers: usize, crossing_sleeper: usize) -> Vec<f64> {
         (0..n_sleepers).map(|i| self.at_offset(i as i64 - crossing_sleeper as i64)).collect()
     }
+}
+
+fn factored(track: &Track, mut of_sleepers: Vec<f64>) -> Vec<f64> {
+    for (offset, factor) in &track.support_factor {
+        let sleeper = usize::try_from(track.sensor_sleeper as i64 + offset).ok();
+        if let Some(value) = sleeper.and_then(|i| of_sleepers.get_mut(i)) {
+            *value *= factor;
+        }
+    }
+    of_sleepers
 }
 
 #[cfg(test)]

@@ -12,6 +12,7 @@ pub mod effects;
 pub mod fit;
 pub mod forward;
 pub mod hammer;
+pub mod ladder;
 pub mod latent;
 pub mod linear;
 pub mod measure;

@@ -148,7 +148,7 @@ pub fn identify<'s>(site: &'s Site, progress: &dyn Progress) -> Result<Identifie
 }
 
 fn wide_greens(track: &Track, ballast: &BallastParameters) -> GreensFunctions {
-    let distribution = ballast.distribution(track.sleeper_x_m.len(), track.sensor_sleeper);
+    let distribution = ballast.bed(track);
     GreensFunctions::new(
         track,
         &distribution,

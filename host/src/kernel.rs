@@ -113,8 +113,7 @@ fn node_greens(site: &IdentifiedSite) -> GreensFunctions {
         raw_rate_hz: sensor.sample_rate_hz,
     };
     let sampling = GreensSampling { rate_hz: NODE_RATE_HZ, len: 512, band_hz: [430.0, 498.0] };
-    let distribution =
-        site.ballast.parameters.distribution(site.track.sleeper_x_m.len(), site.track.sensor_sleeper);
+    let distribution = site.ballast.parameters.bed(&site.track);
     GreensFunctions::new(&site.track, &distribution, sampling, Quantity::Acceleration, &chain)
 }
 

@@ -110,7 +110,7 @@ fn result_grid(identified: &IdentifiedSite) -> Vec<f64> {
 
 fn distribution(identified: &IdentifiedSite) -> Vec<f64> {
     let track = &identified.track;
-    identified.ballast.parameters.distribution(track.sleeper_x_m.len(), track.sensor_sleeper)
+    identified.ballast.parameters.bed(track)
 }
 
 /// Wheels on the calibrated track, at the time step of the forces.

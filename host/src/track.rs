@@ -87,6 +87,8 @@ pub struct Track {
     pub ballast_damping_ns_m2: f64,
     /// Index of the instrumented sleeper.
     pub sensor_sleeper: usize,
+    /// Factor on the ballast stiffness of single sleepers, counted from the instrumented one.
+    pub support_factor: Vec<(i64, f64)>,
     nodes_per_bay: usize,
 }
 
@@ -150,6 +152,7 @@ impl Track {
             sleeper: Sleeper::Beam(beam),
             ballast_damping_ns_m2: crossing.ballast.damping_ns_m2,
             sensor_sleeper: crossing.sensor.sleeper_index,
+            support_factor: crossing.ballast.support_factor.clone(),
             nodes_per_bay,
         }
     }

@@ -13,6 +13,7 @@ pub(crate) mod tolerance;
 
 pub use site::{Baseline, SiteAnalyses, SiteMethods, site_analyses, site_methods};
 
+use crate::gap::GapError;
 use crate::greens::GreensError;
 use crate::inverse::displacement::DisplacementError;
 use crate::passage::SimulationError;
@@ -121,6 +122,9 @@ pub enum VerifyError {
     /// Analysis of a site.
     #[error(transparent)]
     Pipeline(#[from] PipelineError),
+    /// Simulation of a site.
+    #[error(transparent)]
+    Gap(#[from] GapError),
 }
 
 impl Case {

@@ -231,7 +231,7 @@ struct LowModel {
 impl LowModel {
     fn new(problem: &EvidenceProblem, ballast: &BallastParameters, half_m: f64) -> Self {
         let track = problem.track;
-        let distribution = ballast.distribution(track.sleeper_x_m.len(), track.sensor_sleeper);
+        let distribution = ballast.bed(track);
         let sensor = (Quantity::Acceleration, &Chain::Corrected);
         let (interaction, greens) =
             Interaction::and_sensor(track, &distribution, &problem.bogie, half_m, sensor);

@@ -120,7 +120,7 @@ impl<'a> QuasiStatic<'a> {
 
     /// Displacement spectrum of the whole train under constant wheel forces, first axle at time 0, per passage.
     fn models(&self, ballast: &BallastParameters) -> Vec<Vec<c64>> {
-        let distribution = ballast.distribution(self.track.sleeper_x_m.len(), self.track.sensor_sleeper);
+        let distribution = ballast.bed(self.track);
         let receptance = self.track.sensor_receptance(&self.frequency_hz, &distribution);
         self.models_of(&receptance)
     }
@@ -136,11 +136,11 @@ impl<'a> QuasiStatic<'a> {
 
     /// Models as [`Self::models`] gives them, and their derivatives by (ln p1, ln p2, p3).
     fn models_and_slopes(&self, ballast: &BallastParameters) -> [Vec<Vec<c64>>; 4] {
-        let (n, sensor) = (self.track.sleeper_x_m.len(), self.track.sensor_sleeper);
-        let (value, slopes) = self.track.sensor_receptance_and_slopes(
+        let track = self.track;
+        let (value, slopes) = track.sensor_receptance_and_slopes(
             &self.frequency_hz,
-            &ballast.distribution(n, sensor),
-            &ballast.slopes(n, sensor),
+            &ballast.bed(track),
+            &ballast.bed_slopes(track),
         );
         [&value, &slopes[0], &slopes[1], &slopes[2]].map(|r| self.models_of(r))
     }

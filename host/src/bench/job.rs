@@ -93,7 +93,7 @@ fn whole(input: &Path) -> Result<Value, JobError> {
     let mut track = panel(SOFT, Mesh::default());
     track.rail_halvings = 0;
     let found = calibrate(&track, &published);
-    let ballast = found.distribution(track.sleeper_x_m.len(), track.sensor_sleeper);
+    let ballast = found.bed(&track);
     let sampling = GreensSampling { rate_hz: RATE_HZ, len: 512, band_hz: [300.0, 400.0] };
     let greens =
         GreensFunctions::try_new(&track, &ballast, sampling, Quantity::Displacement, &Chain::Corrected)?;

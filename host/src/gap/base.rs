@@ -62,6 +62,14 @@ const ABOUT: f64 = 0.015;
 /// Wheels hit the crossing within this from x = 0, metres, half a bogie's axle spacing apart from the next choice.
 const ASTRAY_M: f64 = 1.45;
 
+/// Where the windows of a site's bogies lie, as [`window_m`] gives it.
+pub fn window_of(site: &Site) -> (f64, f64) {
+    let crossing = &site.crossing;
+    let track = Track::of_crossing(crossing, Mesh::default());
+    let sensor_along_m = crossing.traffic_direction.sign() * track.sleeper_x_m[track.sensor_sleeper];
+    window_m(&AxlePattern::of_vehicle(&crossing.vehicle), sensor_along_m, crossing.vehicle.axle_spacing_m)
+}
+
 /// Reads the recordings.
 pub fn observe(site: &Site) -> Result<Vec<Observed>, GapError> {
     check_rates(site)?;
@@ -91,8 +99,7 @@ pub fn observe(site: &Site) -> Result<Vec<Observed>, GapError> {
     let inputs: Vec<(&Recording, f64, f64)> = found.iter().map(|(i, r, v, _)| (r, *v, force(*i))).collect();
     let first_axle_s =
         QuasiStatic::new(&track, direction, &pattern, &inputs).align(&BallastParameters::NOMINAL);
-    let sensor_along_m = direction * track.sleeper_x_m[track.sensor_sleeper];
-    let window = window_m(&pattern, sensor_along_m, crossing.vehicle.axle_spacing_m);
+    let window = window_of(site);
     Ok(found
         .into_iter()
         .zip(first_axle_s)
@@ -197,8 +204,7 @@ pub fn base(
     let pattern = AxlePattern::of_vehicle(&crossing.vehicle);
     let direction = crossing.traffic_direction.sign();
     let track = Track::of_crossing(crossing, Mesh::default());
-    let sensor_along_m = direction * track.sleeper_x_m[track.sensor_sleeper];
-    let window = window_m(&pattern, sensor_along_m, crossing.vehicle.axle_spacing_m);
+    let window = window_of(site);
     let force = |o: &Observed| static_wheel_force_n(o.axle_load_kg, crossing.vehicle.gravity_m_s2);
     let inputs: Vec<(&Recording, f64, f64)> = subset
         .iter()

@@ -2,12 +2,13 @@
 //!
 //! Corrections go into the inputs: description (pads, rail, masses, loads) and recordings (sensitivity, clock, mounting,
 //! interference, clipping). The identification itself stays as it is: linear, symmetric in load, with the three-parameter
-//! ballast. An effect that does not fit in there is refused; leaving it out silently would promise a correction that is none.
+//! ballast (times known factors). An effect that does not fit in there is refused; leaving it out silently would promise a correction that is none.
 
 use std::path::Path;
 
 use serde_json::Value;
 
+use super::effects::support_loss;
 use super::world::REFERENCE_C;
 use crate::recording::files::read_bytes;
 use crate::recording::{Passage, RecordingError, Site};
@@ -156,9 +157,9 @@ fn include(site: &mut Site, effect: &Included) -> Result<(), CorrectionError> {
             return Err(effect.refused("its ballast is linear; tamp, record again, and analyse then"));
         }
         "support-loss" => {
-            return Err(
-                effect.refused("its ballast has three parameters, the same on both sides of the crossing")
-            );
+            let sides =
+                [effect.value("factor_negative_x", FACTOR)?, effect.value("factor_positive_x", FACTOR)?];
+            crossing.ballast.support_factor = support_loss::factors(sides);
         }
         "load-transfer" => {
             return Err(effect.refused("it assumes the same static force on both rails"));
@@ -239,7 +240,9 @@ fn leave_out_clipped(site: &mut Site, range_m_s2: f64) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::ballast::BallastParameters;
     use crate::recording::read_site;
+    use crate::track::{Mesh, Track};
 
     fn site() -> Site {
         let dir = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/data/field/reference-1");
@@ -278,6 +281,18 @@ mod tests {
         let density = |s: &Site| s.crossing.sleeper.density_kg_m3;
         assert!((density(&out) - density(&site) - 1000.0).abs() < 1e-6);
         assert_eq!(out.crossing.pad.stiffness_n_m, 2.0 * site.crossing.pad.stiffness_n_m);
+    }
+
+    #[test]
+    fn analytic_lost_support_is_in_the_bed_that_everything_uses() {
+        let lost = [effect("support-loss", &[("factor_negative_x", 0.5), ("factor_positive_x", 1.0)])];
+        let out = corrected(&site(), &lost).unwrap();
+        let track = Track::of_crossing(&out.crossing, Mesh::default());
+        let bed = BallastParameters::NOMINAL.bed(&track);
+        let at = |offset: i64| bed[(track.sensor_sleeper as i64 + offset) as usize] / 30e6;
+        assert_eq!([-7, -6, -3, -2, 3, 6].map(at), [1.0, 0.5, 0.5, 1.0, 1.0, 1.0]);
+        let one_sided = corrected(&site(), &[effect("support-loss", &[("factor_negative_x", 0.5)])]);
+        assert!(matches!(one_sided, Err(CorrectionError::Parameter { .. })));
     }
 
     /// A fast clock stretches the recording; 50 Hz were recorded as 50/1.02 Hz by the stated rate.

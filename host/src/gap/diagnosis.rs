@@ -13,6 +13,7 @@ use super::effect::{Effect, Hints, Stage};
 use super::effects::{COMMON, LATENT};
 use super::fit::{Fit, State};
 use super::hammer::Hammer;
+use super::ladder::Rung;
 use super::latent::{Latent, LatentFit};
 use super::measure::{Gap, Prediction};
 use super::node_stage::{NOTABLE, node_gap};
@@ -82,6 +83,11 @@ pub struct Diagnosis {
     pub depends_on: Vec<&'static str>,
     /// Positions x of the front axle at which the base model is off, metres.
     pub position_m: Vec<[f64; 2]>,
+    /// Share of the residuals of the base model that all passages have in common when they are laid over one another along
+    /// the track, and in time; `None` at one speed only.
+    pub collapse: Option<[f64; 2]>,
+    /// Residual of the held-out passages while stage after stage is substituted.
+    pub ladder: Vec<Rung>,
     /// Error that the node's codes, arithmetic and decimation alone make, RMS relative to the signal.
     pub node_gap: Option<f64>,
     /// Predictions of the held-out passages.
@@ -109,6 +115,12 @@ pub struct Residual {
     pub speed_m_s: f64,
     /// °C.
     pub temperature_c: f64,
+    /// As the operator has it, kg.
+    pub axle_load_kg: f64,
+    /// Largest displacement of the sleeper that the corrected model predicts, metres.
+    pub deflection_m: f64,
+    /// RMS over the bogies' windows, base model and corrected model, m/s².
+    pub bogies_m_s2: Vec<[f64; 2]>,
     /// Position x of the front axle, metres.
     pub position_m: Vec<f64>,
     /// Base model, m/s².
@@ -167,9 +179,9 @@ pub fn diagnose(
     if searched {
         session.search(progress)?;
     }
-    let mut out = session.conclude(&before, progress)?;
+    let node_gap = node_gap(site);
+    let mut out = session.conclude(&before, (site.scan.is_some(), node_gap), progress)?;
     out.skipped = site.skipped.len();
-    out.node_gap = node_gap(site);
     if let Some(gap) = out.node_gap.filter(|g| *g > NOTABLE) {
         out.remarks.push(format!(
             "the node's own sampling and arithmetic would change the signal by {:.1} %; see whether its range fits",

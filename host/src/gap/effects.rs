@@ -14,7 +14,7 @@ mod mount_resonance;
 mod pad_stiffness;
 pub mod saturation;
 mod stock_irregularity;
-mod support_loss;
+pub(super) mod support_loss;
 mod tonal;
 mod unsprung_mass;
 mod voided_sleepers;

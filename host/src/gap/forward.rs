@@ -216,7 +216,7 @@ fn shortened(crossing: &crate::recording::Crossing) -> crate::recording::Crossin
 /// Beds of the sleepers of a track.
 pub(super) fn supports(world: &World, track: &Track) -> Vec<Support> {
     let n = track.sleeper_x_m.len();
-    let distribution = world.ballast.distribution(n, track.sensor_sleeper);
+    let distribution = world.ballast.bed(track);
     let damping = world.crossing.ballast.damping_ns_m2;
     let mut supports: Vec<Support> = distribution.iter().map(|k| Support::linear(*k, damping)).collect();
     let at = |offset: i64| usize::try_from(track.sensor_sleeper as i64 + offset).ok().filter(|i| *i < n);

@@ -78,12 +78,29 @@ pub fn prediction(frame: &Frame, i: usize, model: (&World, &Response), latent: &
     compared(o, recorded, base, corrected)
 }
 
+/// Displacement of one passage while the train passes, measured and by a model, metres.
+pub fn displacements(o: &Observed, model: (&World, &Response)) -> [Vec<f64>; 2] {
+    let recorded = o.trace();
+    let modelled = train(o, &recorded, model);
+    [displacement(&recorded.1), displacement(&modelled)]
+}
+
 /// Squares of the corrected model's residual over those of the signal: acceleration, displacement, and the part of the
 /// acceleration that differs from bogie to bogie.
 pub fn residual_squares(p: &Prediction) -> [f64; 3] {
     let [a, d] = squares(p, None);
     let ratio = |q: &Squares, k: usize| q[k] / q[0].max(f64::MIN_POSITIVE);
     [ratio(&a, 2), ratio(&d, 2), ratio(&a, 3)]
+}
+
+/// RMS over passages relative to the measured signal, acceleration and displacement: of the base model's residual (1), the
+/// corrected model's (2), of what differs from bogie to bogie (3).
+pub fn residual_ratios(passages: &[Prediction], which: usize) -> [f64; 2] {
+    let parts: Vec<[Squares; 2]> = passages.par_iter().map(|p| squares(p, None)).collect();
+    [0, 1].map(|q: usize| {
+        let sum = |k: usize| parts.iter().map(|p| p[q][k]).sum::<f64>();
+        (sum(which) / sum(0).max(f64::MIN_POSITIVE)).sqrt()
+    })
 }
 
 /// What a model says the train makes of the sensor over a recorded trace.

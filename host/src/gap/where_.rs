@@ -4,6 +4,7 @@ use super::data::RATE_HZ;
 use super::diagnosis::{Named, Residual};
 use super::fit::Frame;
 use super::measure::Prediction;
+use crate::signal::CubicSpline;
 
 /// Mean residual windows of all passages.
 pub fn residuals(predictions: &[Prediction], frame: &Frame, held_out: &[usize]) -> Vec<Residual> {
@@ -21,12 +22,20 @@ pub fn residuals(predictions: &[Prediction], frame: &Frame, held_out: &[usize]) 
             let [measured, before, after] = &p.acceleration;
             let model = mean(&|k| before[k]);
             let residual = mean(&|k| measured[k] - before[k]);
+            let bogie = |from: usize, model: &[f64]| {
+                let end = (from + len).min(measured.len());
+                let left: Vec<f64> = (from.min(end)..end).map(|k| measured[k] - model[k]).collect();
+                crate::signal::rms(&left)
+            };
             let power: f64 = model.iter().map(|m| m * m).sum();
             let product: f64 = model.iter().zip(&residual).map(|(m, r)| m * r).sum();
             Residual {
                 passage_id: p.passage_id,
                 speed_m_s: p.speed_m_s,
                 temperature_c: frame.observed[i].temperature_c,
+                axle_load_kg: frame.observed[i].axle_load_kg,
+                deflection_m: p.displacement[2].iter().fold(0.0, |m: f64, d| m.max(d.abs())),
+                bogies_m_s2: starts.iter().map(|s| [bogie(*s, before), bogie(*s, after)]).collect(),
                 position_m: (0..*len)
                     .map(|k| direction * (p.first_m + k as f64 / RATE_HZ * p.speed_m_s))
                     .collect(),
@@ -71,6 +80,52 @@ pub fn depends_on(residuals: &[Residual], effects: &[Named]) -> Vec<&'static str
         }
     }
     out
+}
+
+/// Speeds that differ by less cannot tell position from time.
+const LEAST_SPREAD: f64 = 0.05;
+/// Spacing of the common grid of positions, metres; that of times follows from the mean speed.
+const GRID_M: f64 = 0.05;
+
+/// Part of the energy of the base model's residuals that is common to all passages, without the bias of their number, when
+/// they are laid over one another along the track and in time. What is fixed to the track collapses in position, what the
+/// recorder makes in time.
+pub fn collapse(residuals: &[Residual]) -> Option<[f64; 2]> {
+    let speeds: Vec<f64> = residuals.iter().map(|r| r.speed_m_s).collect();
+    let mean = crate::signal::mean(&speeds);
+    let spread = speeds.iter().map(|v| (v / mean - 1.0).abs()).fold(0.0, f64::max);
+    if residuals.len() < 3 || spread < LEAST_SPREAD {
+        return None;
+    }
+    let in_time = |r: &Residual| 1.0 / r.speed_m_s;
+    Some([common(residuals, &|_| 1.0, GRID_M), common(residuals, &in_time, GRID_M / mean)])
+}
+
+/// Common part over an axis which is `scale` times the position.
+fn common(residuals: &[Residual], scale: &dyn Fn(&Residual) -> f64, step: f64) -> f64 {
+    let splines: Vec<Option<(CubicSpline, [f64; 2])>> = residuals
+        .iter()
+        .map(|r| {
+            let mut points: Vec<(f64, f64)> =
+                r.position_m.iter().map(|x| x * scale(r)).zip(r.before.iter().copied()).collect();
+            points.sort_by(|a, b| a.0.total_cmp(&b.0));
+            let (x, y): (Vec<f64>, Vec<f64>) = points.into_iter().unzip();
+            CubicSpline::new(&x, &y).map(|s| (s, [x[0], x[x.len() - 1]]))
+        })
+        .collect();
+    let Some(splines) = splines.into_iter().collect::<Option<Vec<_>>>() else { return 0.0 };
+    let low = splines.iter().map(|s| s.1[0]).fold(f64::NEG_INFINITY, f64::max);
+    let high = splines.iter().map(|s| s.1[1]).fold(f64::INFINITY, f64::min);
+    let count = ((high - low) / step).max(0.0) as usize;
+    let n = splines.len() as f64;
+    let (mut all, mut mean) = (0.0, 0.0);
+    for k in 0..=count {
+        let values: Vec<f64> = splines.iter().map(|s| s.0.at(low + k as f64 * step)).collect();
+        all += values.iter().map(|v| v * v).sum::<f64>();
+        mean += n * crate::signal::mean(&values).powi(2);
+    }
+    // Chance alone leaves 1/n of the energy in the mean.
+    ((mean / all.max(f64::MIN_POSITIVE) * n - 1.0) / (n - 1.0)).clamp(0.0, 1.0)
 }
 
 /// Pearson's correlation; 0 where one of the two does not vary.
@@ -122,6 +177,36 @@ pub fn positions(predictions: &[Prediction]) -> Vec<[f64; 2]> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Wavelets fixed to the track, and such that are fixed in time, at several speeds.
+    #[test]
+    fn analytic_what_is_fixed_to_the_track_collapses_there() {
+        let passage = |id: i32, of: &dyn Fn(f64, f64) -> f64| {
+            let speed = 30.0 + f64::from(id);
+            let position_m: Vec<f64> = (-150..=150).map(|k| f64::from(k) / RATE_HZ * speed).collect();
+            Residual {
+                passage_id: id,
+                speed_m_s: speed,
+                temperature_c: 20.0,
+                axle_load_kg: 15e3,
+                deflection_m: 1e-3,
+                bogies_m_s2: Vec::new(),
+                before: position_m.iter().map(|x| of(*x, x / speed)).collect(),
+                after: vec![0.0; position_m.len()],
+                position_m,
+                scale_error: 0.0,
+                held_out: false,
+            }
+        };
+        let wave = |u: f64| (-u * u).exp() * (20.0 * u).cos();
+        let track: Vec<Residual> = (0..8).map(|i| passage(i, &|x, _| wave(x - 2.0))).collect();
+        let time: Vec<Residual> = (0..8).map(|i| passage(i, &|_, t| wave(30.0 * t - 2.0))).collect();
+        let [position, in_time] = collapse(&track).unwrap();
+        assert!(position > 0.95 && in_time < 0.6, "{position} {in_time}");
+        let [position, in_time] = collapse(&time).unwrap();
+        assert!(in_time > 0.95 && position < 0.6, "{position} {in_time}");
+        assert_eq!(collapse(&track[..1]), None);
+    }
 
     #[test]
     fn analytic_correlation_of_lines() {

@@ -120,6 +120,10 @@ pub struct Sleeper {
 pub struct Ballast {
     pub stiffness_n_m2: f64,
     pub damping_ns_m2: f64,
+    /// Factor on the stiffness of single sleepers, counted from the crossing sleeper: what a diagnosis found, no part of the
+    /// file.
+    #[serde(skip)]
+    pub support_factor: Vec<(i64, f64)>,
 }
 
 /// `[vehicle]`

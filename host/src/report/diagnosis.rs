@@ -1,13 +1,14 @@
 //! The page of a diagnosis.
 
+mod where_figures;
+
 use super::ReportError;
 use super::page::{self, Figure, Key, escape};
-use super::plot::{Axis, BLUE, GREEN, GREY, Layer, ORANGE, Plot, Point, RED, range_of};
+use super::plot::{Axis, BLUE, GREY, Layer, ORANGE, Plot, Point, range_of};
 use crate::gap::consequences::Change;
-use crate::gap::diagnosis::{Diagnosis, Residual};
+use crate::gap::diagnosis::Diagnosis;
 use crate::gap::measure::Prediction;
 use crate::gap::verdict::Verdict;
-use crate::signal::rms;
 
 /// The page as one HTML document.
 pub fn html(site: &str, d: &Diagnosis) -> Result<String, ReportError> {
@@ -16,7 +17,8 @@ pub fn html(site: &str, d: &Diagnosis) -> Result<String, ReportError> {
     body.push_str(&consequences(d));
     body.push_str(&remarks(d));
     body.push_str(&bands(d));
-    let mut figures = vec![residual_map(d)?, covariate(d, "speed")?, covariate(d, "temperature")?];
+    body.push_str(&ladder(d));
+    let mut figures = where_figures::all(d)?;
     if let Some(p) = d.predictions.first() {
         figures.insert(0, trace(p)?);
     }
@@ -144,6 +146,23 @@ fn bands(d: &Diagnosis) -> String {
     format!("<h2>Where</h2>\n{}", table(&["band", "range", "before", "after", "noise floor"], &rows))
 }
 
+/// The substitution ladder.
+fn ladder(d: &Diagnosis) -> String {
+    let rows: Vec<Vec<String>> = d
+        .ladder
+        .iter()
+        .map(|r| {
+            let displacement = r.displacement.map_or(String::new(), |v| format!("{v:.3}"));
+            vec![r.model.into(), format!("{:.3}", r.acceleration), displacement]
+        })
+        .collect();
+    format!(
+        "<p>Stage after stage put in the place of what the drawing says; residual of the held-out passages, RMS relative to the \
+         signal.</p>\n{}",
+        table(&["substituted", "acceleration", "displacement"], &rows)
+    )
+}
+
 fn ranking(d: &Diagnosis) -> String {
     let rows: Vec<Vec<String>> = d
         .ranking
@@ -206,75 +225,4 @@ fn trace(p: &Prediction) -> Result<Figure, ReportError> {
         ],
         svg,
     })
-}
-
-/// Residual along the track, one line per passage, ordered by speed.
-fn residual_map(d: &Diagnosis) -> Result<Figure, ReportError> {
-    let mut rows: Vec<&Residual> = d.residuals.iter().collect();
-    rows.sort_by(|a, b| a.speed_m_s.total_cmp(&b.speed_m_s));
-    let largest = rows.iter().flat_map(|r| r.before.iter().map(|v| v.abs())).fold(1e-9, f64::max);
-    let line = |k: usize, r: &Residual, values: &[f64]| -> Vec<Point> {
-        r.position_m.iter().zip(values).map(|(x, v)| (*x, k as f64 + 1.0 + v / largest)).collect()
-    };
-    let mut layers = Vec::new();
-    for (k, r) in rows.iter().enumerate() {
-        layers.push(Layer::Line { points: line(k, r, &r.before), color: ORANGE, opacity: 0.9, width: 2 });
-        layers.push(Layer::Line { points: line(k, r, &r.after), color: BLUE, opacity: 0.9, width: 2 });
-    }
-    let svg = Plot {
-        x: Axis {
-            caption: "x of the front axle, m",
-            range: range_of(rows.iter().flat_map(|r| r.position_m.iter().copied()), 0.0),
-        },
-        y: Axis { caption: "passage, slowest at the bottom", range: (0.0, rows.len() as f64 + 1.0) },
-        down: false,
-        height: 900,
-        layers,
-    }
-    .svg("Residual of every passage along the track")?;
-    Ok(Figure {
-        title: "Residual along the track".into(),
-        caption: format!(
-            "Mean over the bogies of a train; one unit is {largest:.1} m/s². Features above one another are fixed to the track, \
-             features that lean are fixed in time."
-        ),
-        keys: vec![Key::line("base model", ORANGE), Key::line("corrected model", BLUE)],
-        svg,
-    })
-}
-
-fn covariate(d: &Diagnosis, what: &'static str) -> Result<Figure, ReportError> {
-    let x = |r: &Residual| if what == "speed" { r.speed_m_s } else { r.temperature_c };
-    let scale: Vec<Point> = d.residuals.iter().map(|r| (x(r), 100.0 * r.scale_error)).collect();
-    let size: Vec<Point> = d.residuals.iter().map(|r| (x(r), rms(&r.before))).collect();
-    let after: Vec<Point> = d.residuals.iter().map(|r| (x(r), rms(&r.after))).collect();
-    let dots =
-        |points: &[Point], color, size| Layer::Dots { points: points.to_vec(), color, opacity: 0.8, size };
-    let x_range = range_of(scale.iter().map(|p| p.0), 0.05);
-    let caption = if what == "speed" { "speed, m/s" } else { "temperature, °C" };
-    let (y, layers, keys, title) = if what == "speed" {
-        let range = range_of(size.iter().chain(&after).map(|p| p.1).chain([0.0]), 0.05);
-        (
-            Axis { caption: "residual RMS, m/s²", range },
-            vec![dots(&size, ORANGE, 9), dots(&after, BLUE, 9)],
-            vec![Key::dot("base model", ORANGE), Key::dot("corrected model", BLUE)],
-            "Residual against speed",
-        )
-    } else {
-        let range = range_of(scale.iter().map(|p| p.1).chain([0.0]), 0.1);
-        let zero = Layer::Line {
-            points: vec![(x_range.0, 0.0), (x_range.1, 0.0)],
-            color: GREEN,
-            opacity: 0.6,
-            width: 2,
-        };
-        (
-            Axis { caption: "measured over predicted, less 1, %", range },
-            vec![zero, dots(&scale, RED, 9)],
-            vec![Key::dot("base model", RED)],
-            "Scale of the recordings against temperature",
-        )
-    };
-    let svg = Plot { x: Axis { caption, range: x_range }, y, down: false, height: 560, layers }.svg(title)?;
-    Ok(Figure { title: title.into(), caption: "One point per passage.".into(), keys, svg })
 }

@@ -99,7 +99,7 @@ impl<'a> World<'a> {
         let track = Track::of_crossing(&real, mesh);
         let ballast =
             BallastParameters { p1_n_m2: s.ballast.p1_n_m2, p2_n_m2: s.ballast.p2_n_m2, p3: s.ballast.p3 };
-        let mut ballast_n_m2 = ballast.distribution(track.sleeper_x_m.len(), track.sensor_sleeper);
+        let mut ballast_n_m2 = ballast.bed(&track);
         let supports =
             supports(&mut ballast_n_m2, real.ballast.damping_ns_m2, &s.effects, track.sensor_sleeper)?;
         let model = TrackModel::new(&track, supports, s.solver.sleeper_modes)?;

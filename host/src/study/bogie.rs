@@ -46,11 +46,8 @@ impl BogieTrack {
     ) -> Result<Self, StudyError> {
         let track = Track::of_crossing(crossing, MESH);
         let damping = crossing.ballast.damping_ns_m2;
-        let mut supports: Vec<Support> = ballast
-            .distribution(track.sleeper_x_m.len(), track.sensor_sleeper)
-            .into_iter()
-            .map(|k| Support::linear(k, damping))
-            .collect();
+        let mut supports: Vec<Support> =
+            ballast.bed(&track).into_iter().map(|k| Support::linear(k, damping)).collect();
         for (offset, gap_m) in voids {
             let sleeper = usize::try_from(track.sensor_sleeper as i64 + offset).ok();
             if let Some(support) = sleeper.and_then(|k| supports.get_mut(k)) {

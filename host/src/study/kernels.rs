@@ -31,7 +31,7 @@ fn largest(values: &[f64]) -> f64 {
 impl PanelGreens {
     fn new(panel: &Panel) -> Self {
         let track = Track::of_crossing(&panel.crossing(37), Mesh::default());
-        let ballast = panel.ballast.distribution(track.sleeper_x_m.len(), track.sensor_sleeper);
+        let ballast = panel.ballast.bed(&track);
         let greens =
             GreensFunctions::new(&track, &ballast, SAMPLING, Quantity::Displacement, &Chain::Corrected);
         let sensor = track.sleeper_x_m[track.sensor_sleeper];

@@ -115,7 +115,7 @@ struct TruthAnalysis<'a> {
 impl<'a> TruthAnalysis<'a> {
     fn new(panel: &Panel, ours: &'a Analysis, truth: &'a Truth) -> Self {
         let track = Track::of_crossing(&ours.crossing, Mesh::default());
-        let ballast = panel.ballast.distribution(track.sleeper_x_m.len(), track.sensor_sleeper);
+        let ballast = panel.ballast.bed(&track);
         let v = &ours.crossing.vehicle;
         Self {
             rail: RailGreens::of_crossing_rail(&track, &ballast, RAIL_HALF_M, RAIL),

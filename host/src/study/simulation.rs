@@ -84,7 +84,7 @@ impl Inverse {
     fn new(panel: &Panel) -> Self {
         let crossing = panel.crossing(37);
         let track = Track::of_crossing(&crossing, Mesh::default());
-        let ballast = panel.ballast.distribution(track.sleeper_x_m.len(), track.sensor_sleeper);
+        let ballast = panel.ballast.bed(&track);
         let (speed_m_s, v) = (panel.speed_m_s(), &crossing.vehicle);
         let spacing = (v.axle_spacing_m / speed_m_s * RATE_HZ).round();
         let rate_hz = spacing * speed_m_s / v.axle_spacing_m;

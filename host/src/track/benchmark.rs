@@ -34,6 +34,7 @@ impl Track {
             sleeper: Sleeper::RigidHalves { mass_kg: HALF_SLEEPER_KG, length_m: HALF_LENGTH_M },
             ballast_damping_ns_m2: BALLAST_DAMPING_NS_M2,
             sensor_sleeper: SLEEPERS / 2,
+            support_factor: Vec::new(),
             rail_halvings: 0,
             nodes_per_bay,
         }

@@ -151,7 +151,7 @@ pub(crate) fn site(pads: PadCase) -> Crossing {
             seat_crossing_y_m: 2.0,
             damping_stiffness_proportional_s: 0.0,
         },
-        ballast: Ballast { stiffness_n_m2: BALLAST_N_M2, damping_ns_m2: 125e3 },
+        ballast: Ballast { stiffness_n_m2: BALLAST_N_M2, damping_ns_m2: 125e3, support_factor: Vec::new() },
         vehicle: vehicle(),
         sensor: Sensor {
             sleeper_index: 18,

@@ -3,6 +3,7 @@
 
 mod baseline;
 mod chain;
+mod known_geometry;
 
 pub use self::baseline::Baseline;
 use self::chain::{Chains, DisplacementChain};
@@ -24,12 +25,15 @@ pub struct SiteMethods {
     pub methods: Vec<(&'static str, Score)>,
     /// Ballast of the analysis with intervals, and of the quasi-static fit.
     pub ballast: [[Interval; 3]; 2],
+    /// Ballast by eq. 1, where there is a scan.
+    pub known_geometry: Option<BallastParameters>,
 }
 
 const OURS: &str = "cpcm analyse";
 const PAPER: &str = "paper: high-pass, quasi-static calibration, pseudo-inverse, one force per bogie";
 const BETWEEN: &str =
     "quasi-static calibration, model below 3 Hz, f \u{2212} Q, truncated SVD, GCV, per wheelset";
+const KNOWN_GEOMETRY: &str = "calibration over the laser scan (eq. 1)";
 
 /// One site analysed by all methods.
 pub struct SiteAnalyses {
@@ -62,7 +66,11 @@ pub fn site_methods(site: &Site, truth: &Truth, progress: &dyn Progress) -> Resu
     let point = |value: f64| Interval { value, lower: f64::NAN, upper: f64::NAN };
     let analysis = all.methods.first().map(|m| &m.1).ok_or(VerifyError::Empty("list of methods"))?;
     let b = &analysis.ballast;
+    progress.begin("calibration over the scan", 1);
+    let known_geometry = known_geometry::calibrate(site, BallastParameters::NOMINAL)?;
+    progress.step();
     Ok(SiteMethods {
+        known_geometry,
         site: analysis.crossing.name.clone(),
         methods: all.methods.iter().map(|(name, a)| (*name, score(a, truth))).collect(),
         ballast: [[b.p1_n_m2, b.p2_n_m2, b.p3], [point(p.p1_n_m2), point(p.p2_n_m2), point(p.p3)]],
@@ -99,17 +107,12 @@ impl SiteMethods {
         if let Some(b) = baseline {
             table.row(&baseline_row(b));
         }
-        if let Some((_, score)) = self.methods.first()
-            && let Some([p1, p2, p3]) = score.ballast_truth
-        {
-            let mut row = vec![String::new(); 13];
-            row[0] = "truth".into();
-            row[10..].clone_from_slice(&[
-                format!("{:.1}", 1e-6 * p1),
-                format!("{:.1}", 1e-6 * p2),
-                format!("{p3:.2}"),
-            ]);
-            table.row(&row);
+        if let Some(b) = self.known_geometry {
+            table.row(&ballast_row(KNOWN_GEOMETRY, [b.p1_n_m2, b.p2_n_m2, b.p3]));
+        }
+        let truth = self.methods.first().and_then(|(_, score)| score.ballast_truth);
+        if let Some(truth) = truth {
+            table.row(&ballast_row("truth", truth));
         }
         table
     }
@@ -137,6 +140,18 @@ impl SiteMethods {
             cell(p3, 1.0, 2),
         ]
     }
+}
+
+/// Ballast alone.
+fn ballast_row(name: &str, [p1, p2, p3]: [f64; 3]) -> Vec<String> {
+    let mut row = vec![String::new(); 13];
+    row[0] = name.into();
+    row[10..].clone_from_slice(&[
+        format!("{:.1}", 1e-6 * p1),
+        format!("{:.1}", 1e-6 * p2),
+        format!("{p3:.2}"),
+    ]);
+    row
 }
 
 fn baseline_row(b: &Baseline) -> Vec<String> {

@@ -48,3 +48,6 @@ pub const COVERAGE: f64 = 0.08;
 pub const LOW_PASS_WAVELENGTH: f64 = 0.10;
 /// An upper bound is not exceeded by more than rounding.
 pub const P2_BOUND: f64 = 1e-9;
+/// Outer ballast by eq. 1 over the scan: 24 passages, wheels that differ; the paper's eq. 2 is up to 21 % off.
+#[cfg(test)]
+pub const KNOWN_GEOMETRY_P1: f64 = 0.05;

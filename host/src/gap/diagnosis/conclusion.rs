@@ -5,6 +5,7 @@ use crate::gap::GapError;
 use crate::gap::effect::{Scale, Stage};
 use crate::gap::fit::{Fit, FitOptions, fit, simulate};
 use crate::gap::hammer::{Agreement, BAND_HZ};
+use crate::gap::ladder::ladder;
 use crate::gap::latent::LatentFit;
 use crate::gap::measure::{Gap, Prediction, measure, predictions};
 use crate::gap::verdict::{Verdict, verdict};
@@ -20,41 +21,18 @@ impl Session<'_> {
     pub(super) fn conclude(
         mut self,
         base_world: &World,
+        (has_scan, node_gap): (bool, Option<f64>),
         progress: &dyn Progress,
     ) -> Result<Diagnosis, GapError> {
         progress.begin("held-out passages", 3);
-        if !self.accepted.is_empty() {
-            let state = self.state();
-            let last =
-                fit(&self.base.frame, &self.accepted, state, &self.split.train, FitOptions::default())?;
-            self.describe(&last);
-            self.fit = Some(last);
-        }
+        self.final_fit()?;
+        progress.step();
+        let after_state = self.state();
+        let after_world = after_state.world(&self.base.frame, &self.accepted);
+        let (predicted, gap) = self.predict(base_world, &after_world)?;
         progress.step();
         let frame = &self.base.frame;
-        let all: Vec<usize> = (0..frame.observed.len()).collect();
-        let after_state = self.state();
-        let after_world = after_state.world(frame, &self.accepted);
-        let base_responses = simulate(base_world, frame, &all)?;
-        let after_responses = simulate(&after_world, frame, &all)?;
-        progress.step();
-        let latent: Vec<&LatentFit> = self.latent_fits.iter().map(|(_, f)| f).collect();
-        let base = (base_world, base_responses.as_slice());
-        let mut predicted = predictions(frame, base, (&after_world, &after_responses), &latent);
-        let held_out = |predicted: &[Prediction]| -> Vec<Prediction> {
-            self.split.test.iter().map(|i| predicted[*i].clone()).collect()
-        };
-        let mut gap = measure(&held_out(&predicted), !self.named.is_empty());
-        if !self.named.is_empty() && gap.closed_fraction_ci90[1] < 0.0 {
-            self.remarks.push(withdrawn(&self.named, &gap));
-            for r in self.ranking.iter_mut().filter(|r| self.named.iter().any(|n| n.name == r.name)) {
-                r.probability = r.probability.min(1.0 - MOST_SURE);
-            }
-            self.named.clear();
-            predicted = predictions(frame, base, base, &[]);
-            gap = measure(&held_out(&predicted), false);
-        }
-        let held_out = held_out(&predicted);
+        let held_out = self.held_out(&predicted);
         let residuals = where_::residuals(&predicted, frame, &self.split.test);
         let depends_on = where_::depends_on(&residuals, &self.named);
         let position_m = where_::positions(&predicted);
@@ -73,7 +51,8 @@ impl Session<'_> {
         }
         let verdict =
             if self.untrusted { Verdict::Unexplained } else { verdict(&gap, &self.named, untenable) };
-        let track = self.ask_hammer(base_world, &after_world)?;
+        let corrected = if self.named.is_empty() { base_world } else { &after_world };
+        let track = self.ask_hammer(base_world, corrected)?;
         let stage = match (self.foreign_scan, verdict, self.named.is_empty()) {
             (true, ..) => Some(Stage::Geometry),
             (false, Verdict::Unexplained, true) if track == Some(Agreement::Differs) => Some(Stage::Track),
@@ -88,7 +67,9 @@ impl Session<'_> {
             gap,
             depends_on,
             position_m,
-            node_gap: None,
+            collapse: where_::collapse(&residuals),
+            ladder: ladder(&self.base.frame, &self.split.test, &held_out, has_scan, node_gap)?,
+            node_gap,
             predictions: held_out,
             cosines: self.cosines,
             remarks: self.remarks,
@@ -97,6 +78,44 @@ impl Session<'_> {
             consequences: None,
             seconds: 0.0,
         })
+    }
+
+    /// Fits the accepted effects to all training passages.
+    fn final_fit(&mut self) -> Result<(), GapError> {
+        if self.accepted.is_empty() {
+            return Ok(());
+        }
+        let (state, options) = (self.state(), FitOptions::default());
+        let last = fit(&self.base.frame, &self.accepted, state, &self.split.train, options)?;
+        self.describe(&last);
+        self.fit = Some(last);
+        Ok(())
+    }
+
+    /// Predictions of all passages, and the gap of the held-out ones. Effects that make it worse are withdrawn.
+    fn predict(&mut self, base: &World, after: &World) -> Result<(Vec<Prediction>, Gap), GapError> {
+        let frame = &self.base.frame;
+        let all: Vec<usize> = (0..frame.observed.len()).collect();
+        let (base_responses, after_responses) = (simulate(base, frame, &all)?, simulate(after, frame, &all)?);
+        let latent: Vec<&LatentFit> = self.latent_fits.iter().map(|(_, f)| f).collect();
+        let base = (base, base_responses.as_slice());
+        let predicted = predictions(frame, base, (after, &after_responses), &latent);
+        let gap = measure(&self.held_out(&predicted), !self.named.is_empty());
+        if self.named.is_empty() || gap.closed_fraction_ci90[1] >= 0.0 {
+            return Ok((predicted, gap));
+        }
+        let predicted = predictions(frame, base, base, &[]);
+        self.remarks.push(withdrawn(&self.named, &gap));
+        for r in self.ranking.iter_mut().filter(|r| self.named.iter().any(|n| n.name == r.name)) {
+            r.probability = r.probability.min(1.0 - MOST_SURE);
+        }
+        self.named.clear();
+        let gap = measure(&self.held_out(&predicted), false);
+        Ok((predicted, gap))
+    }
+
+    fn held_out(&self, predicted: &[Prediction]) -> Vec<Prediction> {
+        self.split.test.iter().map(|i| predicted[*i].clone()).collect()
     }
 
     /// Says how far the models are from the measured receptance; `None` without one.

@@ -59,6 +59,12 @@ impl Effect for SupportLoss {
     }
 
     fn apply(&self, world: &mut World, values: &[f64]) {
-        world.bed.stiffness_factor = (3..=6).flat_map(|k| [(-k, values[0]), (k, values[1])]).collect();
+        world.bed.stiffness_factor = factors([values[0], values[1]]);
     }
+}
+
+/// Factor of every sleeper concerned, counted from the crossing sleeper, from those on the side of negative and of positive
+/// x.
+pub fn factors([negative, positive]: [f64; 2]) -> Vec<(i64, f64)> {
+    (3..=6).flat_map(|k| [(-k, negative), (k, positive)]).collect()
 }

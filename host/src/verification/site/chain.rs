@@ -57,7 +57,7 @@ impl<'a> DisplacementChain<'a> {
     pub(super) fn new(identified: &'a IdentifiedSite<'a>) -> Result<Self, VerifyError> {
         let track = &identified.track;
         let ballast = identified.quasi_static.parameters;
-        let distribution = ballast.distribution(track.sleeper_x_m.len(), track.sensor_sleeper);
+        let distribution = ballast.bed(track);
         let greens = GreensFunctions::try_new(
             track,
             &distribution,

@@ -284,5 +284,6 @@ impl<'a> Session<'a> {
 
 /// Search for the axle times of held-out passages, metres.
 const ALIGN_M: f64 = 0.15;
-/// Nothing is surer than this: no run of trials has been long enough to show a higher frequency.
-const MOST_SURE: f64 = 0.95;
+/// Nothing is surer than this: in the trials of seeds 11, 12 and 13 the effect that the evidence was surest of was there in
+/// 135 of 156.
+const MOST_SURE: f64 = 0.87;

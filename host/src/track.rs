@@ -120,8 +120,7 @@ impl Track {
     /// Track of a site with its nominal design values.
     pub fn of_crossing(crossing: &Crossing, mesh: Mesh) -> Self {
         let (layout, s) = (&crossing.track, &crossing.sleeper);
-        let first = crossing.track.crossing_sleeper_x_m
-            - layout.crossing_sleeper_index as f64 * layout.sleeper_spacing_m;
+        let first = crossing.sleeper_x_m(0);
         let sleeper_layout = SleeperLayout {
             length_m: s.length_m,
             seat_crossing_y_m: s.seat_crossing_y_m,
@@ -139,9 +138,7 @@ impl Track {
         let n_nodes = layout.n_sleepers.saturating_sub(1) * nodes_per_bay + 1;
         Self {
             node_x_m: (0..n_nodes).map(|i| first + i as f64 * step_m).collect(),
-            sleeper_x_m: (0..layout.n_sleepers)
-                .map(|i| first + i as f64 * layout.sleeper_spacing_m)
-                .collect(),
+            sleeper_x_m: (0..layout.n_sleepers).map(|i| crossing.sleeper_x_m(i)).collect(),
             step_m,
             plain: BeamSection::plain_rail(&crossing.rail),
             crossing_rail: BeamSection::crossing_rail(&crossing.rail),

@@ -12,9 +12,8 @@ use crate::gap::diagnosis::{DiagnoseOptions, Diagnosis, diagnose};
 use crate::gap::hammer::{BAND_HZ, Hammer};
 use crate::gap::receptance::read_receptance;
 use crate::gap::results::{diagnosis_json, write_diagnosis};
-use crate::recording::{Crossing, read_site};
+use crate::recording::read_site;
 use crate::report::diagnosis::sentence;
-use crate::track::{Mesh, Track};
 
 /// Say why recordings and simulation of a crossing differ: where, which effect, and how far the gap shrinks with it
 ///
@@ -57,7 +56,7 @@ impl DiagnoseArgs {
         let site =
             read_site(&self.site).with_context(|| format!("cannot read site {}", self.site.display()))?;
         warn_skipped(&site.skipped);
-        let x_m = self.hammer_x.unwrap_or_else(|| above_sensor_m(&site.crossing));
+        let x_m = self.hammer_x.unwrap_or_else(|| site.crossing.sensor_x_m());
         let hammer = (!self.hammer.is_empty()).then(|| read_hammer(&self.hammer, x_m)).transpose()?;
         let options = DiagnoseOptions { quick: self.quick, exclude: self.exclude, hammer };
         let mut found = diagnose(&site, &options, &Bar::new())
@@ -76,12 +75,6 @@ impl DiagnoseArgs {
         }
         print(&format!("{}report: {}\n", summary(&found), self.out.join("diagnosis.html").display()))
     }
-}
-
-/// Place of the sensor's sleeper, metres.
-fn above_sensor_m(crossing: &Crossing) -> f64 {
-    let track = Track::of_crossing(crossing, Mesh::default());
-    track.sleeper_x_m[track.sensor_sleeper]
 }
 
 fn read_hammer(files: &[PathBuf], x_m: f64) -> anyhow::Result<Hammer> {

@@ -16,7 +16,7 @@ use crate::ballast::BallastParameters;
 use crate::ballast::quasi_static::QuasiStatic;
 use crate::passage::Profile;
 use crate::reconstruct::{Recording, SpeedSearch, estimate_speed};
-use crate::recording::Site;
+use crate::recording::{Crossing, Site};
 use crate::track::{Mesh, Side, Track};
 use crate::vehicle::{AxlePattern, static_wheel_force_n};
 
@@ -63,10 +63,8 @@ const ABOUT: f64 = 0.015;
 const ASTRAY_M: f64 = 1.45;
 
 /// Where the windows of a site's bogies lie, as [`window_m`] gives it.
-pub fn window_of(site: &Site) -> (f64, f64) {
-    let crossing = &site.crossing;
-    let track = Track::of_crossing(crossing, Mesh::default());
-    let sensor_along_m = crossing.traffic_direction.sign() * track.sleeper_x_m[track.sensor_sleeper];
+pub fn window_of(crossing: &Crossing) -> (f64, f64) {
+    let sensor_along_m = crossing.traffic_direction.sign() * crossing.sensor_x_m();
     window_m(&AxlePattern::of_vehicle(&crossing.vehicle), sensor_along_m, crossing.vehicle.axle_spacing_m)
 }
 
@@ -99,7 +97,7 @@ pub fn observe(site: &Site) -> Result<Vec<Observed>, GapError> {
     let inputs: Vec<(&Recording, f64, f64)> = found.iter().map(|(i, r, v, _)| (r, *v, force(*i))).collect();
     let first_axle_s =
         QuasiStatic::new(&track, direction, &pattern, &inputs).align(&BallastParameters::NOMINAL);
-    let window = window_of(site);
+    let window = window_of(crossing);
     Ok(found
         .into_iter()
         .zip(first_axle_s)
@@ -204,7 +202,7 @@ pub fn base(
     let pattern = AxlePattern::of_vehicle(&crossing.vehicle);
     let direction = crossing.traffic_direction.sign();
     let track = Track::of_crossing(crossing, Mesh::default());
-    let window = window_of(site);
+    let window = window_of(crossing);
     let force = |o: &Observed| static_wheel_force_n(o.axle_load_kg, crossing.vehicle.gravity_m_s2);
     let inputs: Vec<(&Recording, f64, f64)> = subset
         .iter()

@@ -2,7 +2,8 @@
 //!
 //! Corrections go into the inputs: description (pads, rail, masses, loads) and recordings (sensitivity, clock, mounting,
 //! interference, clipping). The identification itself stays as it is: linear, symmetric in load, with the three-parameter
-//! ballast (times known factors). An effect that does not fit in there is refused; leaving it out silently would promise a correction that is none.
+//! ballast (times known factors). An effect that does not fit in there is refused; leaving it out silently would promise a
+//! correction that is none.
 
 use std::path::Path;
 

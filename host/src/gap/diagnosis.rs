@@ -8,7 +8,7 @@ mod trust;
 use std::time::Instant;
 
 use super::GapError;
-use super::base::{Base, PathPrior, base};
+use super::base::{Base, PathPrior, base, nominal_world};
 use super::effect::{Effect, Hints, Stage};
 use super::effects::{COMMON, LATENT};
 use super::fit::{Fit, State};
@@ -19,6 +19,7 @@ use super::measure::{Gap, Prediction};
 use super::node_stage::{NOTABLE, node_gap};
 use super::split::{Split, split};
 use super::verdict::Verdict;
+use crate::ballast::BallastParameters;
 use crate::progress::Progress;
 use crate::recording::Site;
 
@@ -151,6 +152,10 @@ pub fn diagnose(
     progress: &dyn Progress,
 ) -> Result<Diagnosis, GapError> {
     let clock = Instant::now();
+    if let Some(hammer) = &options.hammer {
+        // Hits off the track are refused before any work.
+        hammer.deviation(&nominal_world(site, BallastParameters::NOMINAL)?)?;
+    }
     progress.begin("base model", 1);
     let split = split(site);
     let search = thinned(&split.train, SEARCH_PASSAGES);

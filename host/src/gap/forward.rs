@@ -226,11 +226,6 @@ pub(super) fn supports(world: &World, track: &Track) -> Vec<Support> {
             support.law = SupportLaw::Quadratic { doubling_m };
         }
     }
-    for (offset, factor) in &world.bed.stiffness_factor {
-        if let Some(i) = at(*offset) {
-            supports[i].stiffness_n_m2 *= factor;
-        }
-    }
     for (offset, gap_m) in &world.bed.gap_m {
         if let Some(i) = at(*offset) {
             supports[i].law = SupportLaw::Unilateral { gap_m: *gap_m, preload_n_m: 0.0 };

@@ -48,21 +48,13 @@ impl Hammer {
     pub fn new(receptance: &Receptance, x_m: f64) -> Result<Self, ReceptanceError> {
         let trusted = receptance.trusted(BAND_HZ)?;
         let mut next_hz = 0.0;
-        let kept: Vec<usize> = (0..trusted.frequency_hz.len())
-            .filter(|k| {
-                let keep = trusted.frequency_hz[*k] >= next_hz;
-                if keep {
-                    next_hz = trusted.frequency_hz[*k] + SPACING_HZ;
-                }
-                keep
-            })
-            .collect();
-        let receptance = Receptance {
-            frequency_hz: kept.iter().map(|k| trusted.frequency_hz[*k]).collect(),
-            receptance_m_n: kept.iter().map(|k| trusted.receptance_m_n[*k]).collect(),
-            coherence: kept.iter().map(|k| trusted.coherence[*k]).collect(),
-            hits: trusted.hits,
-        };
+        let receptance = trusted.lines(|f| {
+            let keep = f >= next_hz;
+            if keep {
+                next_hz = f + SPACING_HZ;
+            }
+            keep
+        });
         Ok(Self { receptance, x_m })
     }
 

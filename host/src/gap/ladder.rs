@@ -35,12 +35,7 @@ pub fn ladder(
     if has_scan {
         out.push(simulated("geometry: the laser scan", frame, test, &nominal)?);
     }
-    let [before, after, floor] = [1, 2, 3].map(|k| residual_ratios(held_out, k));
-    let rung = |model: &'static str, [acceleration, displacement]: [f64; 2]| Rung {
-        model,
-        acceleration,
-        displacement: Some(displacement),
-    };
+    let [before, after, floor] = residual_ratios(held_out);
     out.push(rung("ballast and path: calibrated (base model)", before));
     out.push(rung("effects: those named (corrected model)", after));
     if let Some(node) = node_gap {
@@ -58,6 +53,10 @@ fn simulated(model: &'static str, frame: &Frame, test: &[usize], world: &World) 
     let responses = simulate(world, frame, test)?;
     let predicted: Vec<Prediction> =
         test.iter().zip(&responses).map(|(i, r)| prediction(frame, *i, (world, r), &[])).collect();
-    let [acceleration, displacement] = residual_ratios(&predicted, 2);
-    Ok(Rung { model, acceleration, displacement: Some(displacement) })
+    let [_, corrected, _] = residual_ratios(&predicted);
+    Ok(rung(model, corrected))
+}
+
+fn rung(model: &'static str, [acceleration, displacement]: [f64; 2]) -> Rung {
+    Rung { model, acceleration, displacement: Some(displacement) }
 }

@@ -93,13 +93,15 @@ pub fn residual_squares(p: &Prediction) -> [f64; 3] {
     [ratio(&a, 2), ratio(&d, 2), ratio(&a, 3)]
 }
 
-/// RMS over passages relative to the measured signal, acceleration and displacement: of the base model's residual (1), the
-/// corrected model's (2), of what differs from bogie to bogie (3).
-pub fn residual_ratios(passages: &[Prediction], which: usize) -> [f64; 2] {
+/// RMS over passages relative to the measured signal, `[acceleration, displacement]`: of the base model's residual, of the
+/// corrected model's, of what differs from bogie to bogie.
+pub fn residual_ratios(passages: &[Prediction]) -> [[f64; 2]; 3] {
     let parts: Vec<[Squares; 2]> = passages.par_iter().map(|p| squares(p, None)).collect();
-    [0, 1].map(|q: usize| {
-        let sum = |k: usize| parts.iter().map(|p| p[q][k]).sum::<f64>();
-        (sum(which) / sum(0).max(f64::MIN_POSITIVE)).sqrt()
+    [1, 2, 3].map(|which: usize| {
+        [0, 1].map(|q: usize| {
+            let sum = |k: usize| parts.iter().map(|p| p[q][k]).sum::<f64>();
+            (sum(which) / sum(0).max(f64::MIN_POSITIVE)).sqrt()
+        })
     })
 }
 

@@ -38,6 +38,15 @@ pub struct Receptance {
     pub hits: usize,
 }
 
+/// What a file holds.
+#[derive(Debug)]
+enum Content {
+    /// Time series of hammer and sensor.
+    Hits(Vec<Hit>),
+    /// Estimated by the analyser.
+    Estimate(Receptance),
+}
+
 /// Why hits give no receptance.
 #[derive(Debug, thiserror::Error)]
 pub enum ReceptanceError {
@@ -132,11 +141,11 @@ pub fn read_receptance(files: &[PathBuf], high_hz: f64) -> Result<Receptance, Re
     let mut hits = Vec::new();
     for file in files {
         let estimate = match read_one(file)? {
-            uff::Content::Hits(mut some) => {
+            Content::Hits(mut some) => {
                 hits.append(&mut some);
                 continue;
             }
-            uff::Content::Estimate(estimate) => estimate,
+            Content::Estimate(estimate) => estimate,
         };
         if files.len() > 1 {
             return Err(ReceptanceError::Files { files: files.len() });
@@ -149,7 +158,7 @@ pub fn read_receptance(files: &[PathBuf], high_hz: f64) -> Result<Receptance, Re
     Receptance::of_hits(&hits, high_hz)
 }
 
-fn read_one(file: &Path) -> Result<uff::Content, ReceptanceError> {
+fn read_one(file: &Path) -> Result<Content, ReceptanceError> {
     let universal =
         file.extension().is_some_and(|e| e.eq_ignore_ascii_case("uff") || e.eq_ignore_ascii_case("unv"));
     let text = String::from_utf8_lossy(&read_bytes(file)?).into_owned();
@@ -159,15 +168,10 @@ fn read_one(file: &Path) -> Result<uff::Content, ReceptanceError> {
     }
     if text.lines().next().map(str::trim) == Some(ESTIMATE) {
         let rows = table::<4>(&name, &text, ESTIMATE)?;
-        let rows: Vec<&[f64; 4]> = rows.iter().filter(|r| r[0] > 0.0).collect();
-        return Ok(uff::Content::Estimate(Receptance {
-            frequency_hz: rows.iter().map(|r| r[0]).collect(),
-            receptance_m_n: rows.iter().map(|r| c64::new(r[1], r[2])).collect(),
-            coherence: rows.iter().map(|r| r[3].clamp(0.0, 1.0)).collect(),
-            hits: 1,
-        }));
+        let lines = rows.iter().map(|[f, re, im, coherence]| (*f, c64::new(*re, *im), *coherence));
+        return Ok(Content::Estimate(Receptance::estimated(lines)));
     }
-    hit(&name, &text).map(|h| uff::Content::Hits(vec![h]))
+    hit(&name, &text).map(|h| Content::Hits(vec![h]))
 }
 
 /// Reads a hit from a table with the columns `time_s,force_n,acceleration_m_s2`, evenly sampled.
@@ -270,12 +274,30 @@ impl Receptance {
             let lowest = inside.iter().map(|k| self.coherence[*k]).fold(1.0, f64::min);
             return Err(ReceptanceError::Incoherent { low_hz, high_hz, share: 100.0 * share, lowest });
         }
-        Ok(Self {
-            frequency_hz: inside.iter().map(|k| self.frequency_hz[*k]).collect(),
-            receptance_m_n: inside.iter().map(|k| self.receptance_m_n[*k]).collect(),
-            coherence: inside.iter().map(|k| self.coherence[*k]).collect(),
+        Ok(self.lines(|f| f >= low_hz && f <= high_hz))
+    }
+
+    /// The lines at frequencies to `keep`, Hz.
+    pub(super) fn lines(&self, mut keep: impl FnMut(f64) -> bool) -> Self {
+        let kept: Vec<usize> = (0..self.frequency_hz.len()).filter(|k| keep(self.frequency_hz[*k])).collect();
+        Self {
+            frequency_hz: kept.iter().map(|k| self.frequency_hz[*k]).collect(),
+            receptance_m_n: kept.iter().map(|k| self.receptance_m_n[*k]).collect(),
+            coherence: kept.iter().map(|k| self.coherence[*k]).collect(),
             hits: self.hits,
-        })
+        }
+    }
+
+    /// As an analyser estimated it: frequencies, Hz, receptances, m/N, coherences. Nothing moves at 0 Hz.
+    fn estimated(lines: impl Iterator<Item = (f64, c64, f64)>) -> Self {
+        let mut out =
+            Self { frequency_hz: Vec::new(), receptance_m_n: Vec::new(), coherence: Vec::new(), hits: 1 };
+        for (f, receptance, coherence) in lines.filter(|l| l.0 > 0.0) {
+            out.frequency_hz.push(f);
+            out.receptance_m_n.push(receptance);
+            out.coherence.push(coherence.clamp(0.0, 1.0));
+        }
+        out
     }
 }
 

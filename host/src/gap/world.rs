@@ -28,8 +28,6 @@ pub struct World {
 /// Departures from the linear three-parameter ballast.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Bed {
-    /// Sleepers, counted from the crossing sleeper, and a factor on their stiffness.
-    pub stiffness_factor: Vec<(i64, f64)>,
     /// Sleepers and the gap under them, metres.
     pub gap_m: Vec<(i64, f64)>,
     /// Displacement at which the secant stiffness has doubled, metres.

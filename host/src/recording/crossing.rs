@@ -27,6 +27,20 @@ pub struct Crossing {
     pub sensor: Sensor,
 }
 
+impl Crossing {
+    /// Place x of a sleeper, metres.
+    pub fn sleeper_x_m(&self, index: usize) -> f64 {
+        let t = &self.track;
+        let first = t.crossing_sleeper_x_m - t.crossing_sleeper_index as f64 * t.sleeper_spacing_m;
+        first + index as f64 * t.sleeper_spacing_m
+    }
+
+    /// Place x of the sensor's sleeper, metres.
+    pub fn sensor_x_m(&self) -> f64 {
+        self.sleeper_x_m(self.sensor.sleeper_index)
+    }
+}
+
 /// Crossing panel design.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Design {

@@ -8,7 +8,6 @@ use crate::gap::data::{energies, own_energy};
 use crate::gap::effect::{ActsOn, Effect, Stage};
 use crate::gap::fit::{Fit, FitOptions, State, fit, settled, simulate};
 use crate::gap::forward::Response;
-use crate::gap::hammer::Hammer;
 use crate::gap::latent::{Latent, LatentFit, Scene};
 use crate::gap::measure;
 use crate::gap::select::{Standing, Tried, gain, round};
@@ -126,7 +125,7 @@ impl Session<'_> {
             self.cosines = cosines(&screening, &candidates);
         }
         progress.step();
-        let mut list = self.candidates(&tried, &reference, &latent);
+        let mut list = self.candidates(&tried, &reference, &latent)?;
         let misfit: f64 = reference.passages.iter().map(|p| squares(&p.residual)).sum();
         for c in &mut list {
             c.gain = if self.worth_naming(c, number, misfit) { c.gain } else { c.gain.min(0.5 * LEAST_GAIN) };
@@ -161,17 +160,20 @@ impl Session<'_> {
         c.full && room && c.gain > least_gain && 2.0 * c.misfit_gain > LEAST_SHARE * misfit
     }
 
-    fn candidates(&self, tried: &[Tried<'static>], reference: &Fit, latent: &[Explored]) -> Vec<Candidate> {
+    fn candidates(
+        &self,
+        tried: &[Tried<'static>],
+        reference: &Fit,
+        latent: &[Explored],
+    ) -> Result<Vec<Candidate>, GapError> {
         // The best fit of the round tells how much of the misfit is left to chance.
         let inflation = tried
             .iter()
             .filter_map(|t| t.fit.as_ref())
             .map(Fit::inflation)
             .fold(reference.inflation(), f64::min);
-        let struck = self.struck(&reference.state, &self.accepted);
-        let common = tried.iter().map(|t| {
-            let list: Vec<&'static dyn Effect> = self.accepted.iter().copied().chain([t.effect]).collect();
-            let heard = t.fit.as_ref().map_or(0.0, |f| self.struck(&f.state, &list) - struck);
+        let heard = self.heard(tried, reference)?;
+        let common = tried.iter().zip(heard).map(|(t, heard)| {
             let (gain, full) = match &t.fit {
                 // A strength at the end of its range is no strength but a fit that found no other way.
                 Some(f) => (
@@ -214,13 +216,23 @@ impl Session<'_> {
                 acts_on: e.acts_on(),
             }
         });
-        common.chain(latent).collect()
+        Ok(common.chain(latent).collect())
     }
 
-    /// Log likelihood of the measured receptance, nought without one.
-    fn struck(&self, state: &State, effects: &[&'static dyn Effect]) -> f64 {
-        let of = |h: &Hammer| h.log_likelihood(&state.world(&self.base.frame, effects));
-        self.hammer.and_then(|h| of(h).ok()).unwrap_or(0.0)
+    /// Gain of every fit in the log likelihood of the measured receptance; nought without one.
+    fn heard(&self, tried: &[Tried<'static>], reference: &Fit) -> Result<Vec<f64>, GapError> {
+        let Some(hammer) = self.hammer else { return Ok(vec![0.0; tried.len()]) };
+        let of = |state: &State, effects: &[&'static dyn Effect]| {
+            hammer.log_likelihood(&state.world(&self.base.frame, effects))
+        };
+        let before = of(&reference.state, &self.accepted)?;
+        tried
+            .iter()
+            .map(|t| {
+                let Some(fit) = &t.fit else { return Ok(0.0) };
+                Ok(of(&fit.state, &[self.accepted.as_slice(), &[t.effect]].concat())? - before)
+            })
+            .collect()
     }
 
     fn explore(&mut self) -> Result<Vec<Explored>, GapError> {

@@ -59,7 +59,7 @@ impl Effect for SupportLoss {
     }
 
     fn apply(&self, world: &mut World, values: &[f64]) {
-        world.bed.stiffness_factor = factors([values[0], values[1]]);
+        world.crossing.ballast.support_factor = factors([values[0], values[1]]);
     }
 }
 

@@ -7,7 +7,7 @@
 
 use faer::c64;
 
-use super::{Hit, Receptance, ReceptanceError};
+use super::{Content, Hit, Receptance, ReceptanceError};
 
 /// What an axis means (`specific data type`).
 const DISPLACEMENT: i64 = 8;
@@ -20,15 +20,6 @@ const FREQUENCY_RESPONSE: i64 = 4;
 const COHERENCE: i64 = 6;
 /// Most values of a function.
 const MOST_VALUES: usize = 1 << 24;
-
-/// What a file holds.
-#[derive(Debug)]
-pub(super) enum Content {
-    /// Time series of hammer and sensor.
-    Hits(Vec<Hit>),
-    /// Estimated by the analyser.
-    Estimate(Receptance),
-}
 
 /// One dataset 58.
 struct Function {
@@ -83,11 +74,9 @@ fn function(body: &[&str]) -> Result<Function, (usize, &'static str)> {
         words.map_while(|w| w.parse().ok()).collect()
     };
     let kind = *integers(6).first().ok_or((6, "no kind of function"))?;
-    let [numerator, denominator] = [(9, "no numerator"), (10, "no denominator")]
-        .map(|(line, what)| (integers(line).first().copied(), line, what));
-    let numerator = numerator.0.ok_or((numerator.1, numerator.2))?;
+    let numerator = *integers(9).first().ok_or((9, "no numerator"))?;
     // A time series has none.
-    let denominator = denominator.0.unwrap_or(0);
+    let denominator = integers(10).first().copied().unwrap_or(0);
     let form: Vec<f64> =
         body.get(6).map_or("", |l| l).split_whitespace().map_while(|w| w.parse().ok()).collect();
     let [ordinate, count, even, first, step] =
@@ -106,18 +95,7 @@ fn function(body: &[&str]) -> Result<Function, (usize, &'static str)> {
     if even && !(step > 0.0 && step.is_finite() && first.is_finite()) {
         return Err((7, "a spacing that is not positive"));
     }
-    let mut numbers = Vec::new();
-    for (i, line) in body.iter().enumerate().skip(11) {
-        for word in line.split_whitespace() {
-            let value: f64 =
-                word.replace(['D', 'd'], "E").parse().map_err(|_| (i + 1, "a value that is no number"))?;
-            numbers.push(if value.is_finite() {
-                value
-            } else {
-                return Err((i + 1, "a value that is not finite"));
-            });
-        }
-    }
+    let numbers = values(body)?;
     let parts = usize::from(!even) + 1 + usize::from(complex);
     if numbers.len() != parts * count {
         return Err((7, "not as many values as stated"));
@@ -136,6 +114,19 @@ fn function(body: &[&str]) -> Result<Function, (usize, &'static str)> {
     })
 }
 
+/// All numbers after the head of a dataset.
+fn values(body: &[&str]) -> Result<Vec<f64>, (usize, &'static str)> {
+    let words =
+        body.iter().enumerate().skip(11).flat_map(|(i, l)| l.split_whitespace().map(move |w| (i + 1, w)));
+    words
+        .map(|(line, word)| {
+            let value: f64 =
+                word.replace(['D', 'd'], "E").parse().map_err(|_| (line, "a value that is no number"))?;
+            if value.is_finite() { Ok(value) } else { Err((line, "a value that is not finite")) }
+        })
+        .collect()
+}
+
 fn content(functions: Vec<Function>) -> Result<Content, &'static str> {
     let is = |kind: i64| functions.iter().find(move |f| f.kind == kind);
     let Some(response) = is(FREQUENCY_RESPONSE) else { return hits(&functions) };
@@ -149,17 +140,12 @@ fn content(functions: Vec<Function>) -> Result<Content, &'static str> {
         return Err("a frequency response that is not per force (type 13)");
     }
     let order = order(response.numerator)?;
-    let lines: Vec<usize> = (0..response.at.len()).filter(|k| response.at[*k] > 0.0).collect();
-    let receptance = |k: &usize| {
-        let iw = c64::new(0.0, std::f64::consts::TAU * response.at[*k]);
-        response.value[*k] / iw.powu(order)
-    };
-    Ok(Content::Estimate(Receptance {
-        frequency_hz: lines.iter().map(|k| response.at[*k]).collect(),
-        receptance_m_n: lines.iter().map(receptance).collect(),
-        coherence: lines.iter().map(|k| coherence.value[*k].re.clamp(0.0, 1.0)).collect(),
-        hits: 1,
-    }))
+    let lines =
+        response.at.iter().zip(&response.value).zip(&coherence.value).map(|((f, value), coherence)| {
+            let iw = c64::new(0.0, std::f64::consts::TAU * f);
+            (*f, value / iw.powu(order), coherence.re)
+        });
+    Ok(Content::Estimate(Receptance::estimated(lines)))
 }
 
 /// Derivatives by time between displacement and what was measured.

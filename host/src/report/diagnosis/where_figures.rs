@@ -13,8 +13,10 @@ use crate::signal::{mean, rfft, rfft_frequencies_hz, rms};
 pub(super) fn all(d: &Diagnosis) -> Result<Vec<Figure>, ReportError> {
     let mut out = vec![residual_map(d)?, frequency_map(d)?];
     if let Some([position, time]) = d.collapse {
-        out.push(laid_over(d, "x of the front axle, m", position, &|_| 1.0)?);
-        out.push(laid_over(d, "time after the front axle is at x = 0, s", time, &|r| 1.0 / r.speed_m_s)?);
+        let (track, clock) = ("along the track", "in time");
+        let in_time = |r: &Residual| 1.0 / r.speed_m_s;
+        out.push(laid_over(d, (track, "x of the front axle, m"), position, &|_| 1.0)?);
+        out.push(laid_over(d, (clock, "time after the front axle is at x = 0, s"), time, &in_time)?);
     }
     let residual = [("speed, m/s", SPEED), ("largest displacement, mm", DEFLECTION), ("axle load, t", LOAD)];
     for (caption, of) in residual {
@@ -144,7 +146,7 @@ fn frequency_map(d: &Diagnosis) -> Result<Figure, ReportError> {
 /// Residuals of the base model over one another, over the position times `scale`.
 fn laid_over(
     d: &Diagnosis,
-    axis: &str,
+    (how, axis): (&str, &str),
     share: f64,
     scale: &dyn Fn(&Residual) -> f64,
 ) -> Result<Figure, ReportError> {
@@ -157,12 +159,7 @@ fn laid_over(
         .iter()
         .map(|points| Layer::Line { points: points.clone(), color: GREY, opacity: 0.5, width: 2 })
         .collect();
-    let in_time = axis.starts_with("time");
-    let title = if in_time {
-        "Residuals laid over one another in time"
-    } else {
-        "Residuals laid over one another along the track"
-    };
+    let title = format!("Residuals laid over one another {how}");
     let svg = Plot {
         x: Axis { caption: axis, range: range_of(lines.iter().flatten().map(|p| p.0), 0.0) },
         y: Axis { caption: "residual, m/s²", range: range_of(lines.iter().flatten().map(|p| p.1), 0.05) },
@@ -170,9 +167,9 @@ fn laid_over(
         height: 520,
         layers,
     }
-    .svg(title)?;
+    .svg(&title)?;
     Ok(Figure {
-        title: title.into(),
+        title,
         caption: format!(
             "Base model, all passages: {:.0} % of the energy is common to them. What is fixed to the track collapses along it, \
              what the recorder makes collapses in time.",

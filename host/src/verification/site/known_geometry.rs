@@ -33,7 +33,7 @@ pub(super) fn calibrate(
     let all = observe(site)?;
     let mut observed: Vec<Observed> = all.iter().step_by(all.len().div_ceil(PASSAGES)).cloned().collect();
     let world = nominal_world(site, start)?;
-    align(&world, &mut observed, window_of(site))?;
+    align(&world, &mut observed, window_of(&site.crossing))?;
     let problem = Problem { world, observed, at: Vector3::from(start.to_vector()) };
     let (problem, _) = LevenbergMarquardt::new().with_ftol(1e-6).with_xtol(1e-4).minimize(problem);
     Ok(Some(problem.ballast()))

@@ -149,7 +149,13 @@ pub fn nominal_world(site: &Site, ballast: BallastParameters) -> Result<World, G
         ballast,
         bed: Bed::default(),
         wheels: Wheels::default(),
-        path: Path { scan, deviation: PathSplines::level(HALF_M, STEP_M), half_m: HALF_M, stock_dip: None },
+        path: Path {
+            scan,
+            deviation: PathSplines::level(HALF_M, STEP_M),
+            half_m: HALF_M,
+            blur_m: 0.0,
+            stock_dip: None,
+        },
         sensor: SensorModel::default(),
     })
 }
@@ -239,7 +245,7 @@ pub fn base(
     frame.responses = responses;
     let second = fit(&frame, &[], state, search, options)?;
     let variation = variation_of(&frame, &shapes, &[], &second.state, search)?;
-    frame.factors = self::factors(&frame.observed, &shapes, &variation)?;
+    frame.take(&shapes, &variation)?;
     let fit = settled(&frame, &[], second.state, subset)?;
     Ok(Base { frame, fit, variation, shapes, window_m: window })
 }
@@ -252,8 +258,16 @@ pub fn fit_variation(
     subset: &[usize],
 ) -> Result<(), GapError> {
     base.variation = variation_of(&base.frame, &base.shapes, effects, state, subset)?;
-    base.frame.factors = factors(&base.frame.observed, &base.shapes, &base.variation)?;
-    Ok(())
+    base.frame.take(&base.shapes, &base.variation)
+}
+
+impl Frame {
+    /// Takes over how wheels differ: as covariance of the mean windows and as blur of the path of the mean wheel.
+    fn take(&mut self, shapes: &[Shapes], variation: &Variation) -> Result<(), GapError> {
+        self.factors = factors(&self.observed, shapes, variation)?;
+        self.base.path.blur_m = variation.shift_m;
+        Ok(())
+    }
 }
 
 /// Share of the signal that the first fits may miss: a poor start is not taken too seriously.
@@ -275,14 +289,15 @@ fn rough_factors(observed: &[Observed]) -> Vec<faer::linalg::solvers::Llt<f64>> 
 fn linearise(world: &World, observed: &[Observed]) -> Result<(Vec<BogieResponses>, Vec<Shapes>), GapError> {
     let linear = Linear::new(world, observed)?;
     let grids = &world.path.deviation;
-    Ok(observed
+    let both: Vec<(BogieResponses, Shapes)> = observed
         .par_iter()
         .map(|o| {
-            let r = linear.responses(o);
-            let shapes = Shapes::new(&r, grids, &world.path);
-            (r, shapes)
+            let r = linear.responses(o)?;
+            let shapes = Shapes::new(&r, grids);
+            Ok((r, shapes))
         })
-        .unzip())
+        .collect::<Result<_, GapError>>()?;
+    Ok(both.into_iter().unzip())
 }
 
 /// Search for the axle times, metres of travel in both directions.
@@ -342,5 +357,5 @@ fn variation_of(
             (&shapes[*i], scatter(&residuals))
         })
         .collect();
-    Ok(estimate(&scatters))
+    Ok(estimate(&scatters, &frame.base.crossing.sensor))
 }

@@ -84,6 +84,16 @@ impl Simulator {
         Ok(Self { stepper: self.stepper.clone(), train, surface, antialias, ..*self })
     }
 
+    /// The same with the front (0) or rear (1) wheel on the crossing side on a path of another depth, met later in x.
+    pub fn with_own_path(&self, axle: usize, depth_factor: f64, shift_m: f64) -> Self {
+        let mut train = self.train.clone();
+        let wheel = &mut train.wheels[2 * axle];
+        wheel.depth_factor *= depth_factor;
+        wheel.shift_m += shift_m;
+        let (stepper, surface) = (self.stepper.clone(), self.surface.clone());
+        Self { stepper, train, surface, antialias: self.antialias.clone(), ..*self }
+    }
+
     /// The same with a flat on both wheels of the front (0) or rear (1) wheelset.
     pub fn with_flat(&self, axle: usize, flat: WheelFlat) -> Self {
         let mut train = self.train.clone();

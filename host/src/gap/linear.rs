@@ -2,7 +2,8 @@
 //!
 //! Differences of simulations: every knot of the path is raised a little under either wheel at three speeds that span
 //! the site's, and the response is interpolated to each passage's speed in time since the wheel meets the knot. That
-//! keeps the coupling of the wheels through rail, wheelset and bogie, and the contact law at its operating point.
+//! keeps the coupling of the wheels through rail, wheelset and bogie, and the contact law at its operating point. Depth and
+//! shift of a wheel's path are changed at each passage's own speed.
 
 use faer::Mat;
 use rayon::prelude::*;
@@ -18,6 +19,9 @@ use crate::track::Side;
 const BUMP_M: f64 = 20e-6;
 /// Change of a wheel's load, relative.
 const LOAD_STEP: f64 = 0.02;
+/// Change of the depth of a wheel's path, relative, and of where the wheel meets it, metres: as wheels differ by nature.
+const DEPTH_STEP: f64 = 0.05;
+const SHIFT_STEP_M: f64 = 0.01;
 /// Speeds closer than this (relative) need no interpolation.
 const SAME_SPEED: f64 = 0.01;
 
@@ -30,6 +34,19 @@ pub struct BogieResponses {
     pub profile: [Mat<f64>; 2],
     /// Front and rear wheelset, crossing and stock side: window per relative change of load.
     pub load: [[Vec<f64>; 2]; 2],
+    /// Front and rear wheelset on the crossing side.
+    pub moves: [WheelMoves; 2],
+}
+
+/// What one wheel's own path through the crossing adds to a window.
+#[derive(Clone, Debug)]
+pub struct WheelMoves {
+    /// Deeper: per relative change of depth.
+    pub depth: Vec<f64>,
+    /// Later in x: first derivative, per metre.
+    pub shift: Vec<f64>,
+    /// Second derivative by the shift, per square metre.
+    pub curvature: Vec<f64>,
 }
 
 impl BogieResponses {
@@ -40,6 +57,11 @@ impl BogieResponses {
             both: none(),
             profile: [none(), none()],
             load: std::array::from_fn(|_| [vec![0.0; len], vec![0.0; len]]),
+            moves: std::array::from_fn(|_| WheelMoves {
+                depth: vec![0.0; len],
+                shift: vec![0.0; len],
+                curvature: vec![0.0; len],
+            }),
         }
     }
 }
@@ -54,6 +76,7 @@ struct Node {
 
 /// Linear model of a site around a world.
 pub struct Linear {
+    simulator: Simulator,
     nodes: Vec<Node>,
     /// Travel at which a wheel meets each knot, metres, and whether the knot is on the stock rail.
     knots: Vec<(f64, bool)>,
@@ -73,11 +96,11 @@ impl Linear {
             .into_iter()
             .map(|speed_m_s| node(world, &simulator, axle_load_kg, speed_m_s))
             .collect::<Result<_, _>>()?;
-        Ok(Self { nodes, knots, axle_spacing_m: world.crossing.vehicle.axle_spacing_m })
+        Ok(Self { simulator, nodes, knots, axle_spacing_m: world.crossing.vehicle.axle_spacing_m })
     }
 
     /// For the windows of a passage.
-    pub fn responses(&self, o: &Observed) -> BogieResponses {
+    pub fn responses(&self, o: &Observed) -> Result<BogieResponses, GapError> {
         let weights = weights(&self.nodes, o.speed_m_s);
         let gap_s = self.axle_spacing_m / o.speed_m_s;
         let at = |axle: usize, knot: usize, t: f64| -> f64 {
@@ -118,7 +141,27 @@ impl Linear {
                 })
                 .collect()
         };
-        BogieResponses { both, profile, load: [[load(0), load(1)], [load(2), load(3)]] }
+        let here = self.simulator.response(o.speed_m_s)?;
+        let moves = [self.moves(0, &here, o)?, self.moves(1, &here, o)?];
+        Ok(BogieResponses { both, profile, load: [[load(0), load(1)], [load(2), load(3)]], moves })
+    }
+
+    fn moves(&self, axle: usize, here: &Response, o: &Observed) -> Result<WheelMoves, GapError> {
+        let moved = |depth: f64, shift_m: f64| {
+            self.simulator.with_own_path(axle, 1.0 + depth, shift_m).response(o.speed_m_s)
+        };
+        let (deeper, shallower) = (moved(DEPTH_STEP, 0.0)?, moved(-DEPTH_STEP, 0.0)?);
+        let (later, earlier) = (moved(0.0, SHIFT_STEP_M)?, moved(0.0, -SHIFT_STEP_M)?);
+        let window = |f: &dyn Fn(f64) -> f64| -> Vec<f64> {
+            (0..o.mean.len()).map(|k| f(o.first_s + k as f64 / RATE_HZ)).collect()
+        };
+        Ok(WheelMoves {
+            depth: window(&|t| (deeper.at(t) - shallower.at(t)) / (2.0 * DEPTH_STEP)),
+            shift: window(&|t| (later.at(t) - earlier.at(t)) / (2.0 * SHIFT_STEP_M)),
+            curvature: window(&|t| {
+                (later.at(t) - 2.0 * here.at(t) + earlier.at(t)) / (SHIFT_STEP_M * SHIFT_STEP_M)
+            }),
+        })
     }
 
     /// Response functions exist for this many knots.

@@ -7,9 +7,12 @@
 use faer::Mat;
 use faer::linalg::solvers::Llt;
 
+use super::data::RATE_HZ;
+use super::forward::BAND_HZ;
 use super::linear::BogieResponses;
 use super::splines::PathSplines;
-use super::world::Path;
+use crate::recording::Sensor;
+use crate::signal::taper;
 use crate::track::Side;
 
 /// Sizes (standard deviations) of the parts.
@@ -31,22 +34,34 @@ pub struct Variation {
     pub own_stock_m: f64,
 }
 
+/// Noise is not taken for more than this, m/s², or for this many times what the sensor is said to have in the band: it would
+/// stand in for what single wheels do, and then also hide what small parts of the signal tell.
+const MOST_NOISE_M_S2: f64 = 0.15;
+const MOST_NOISE: f64 = 4.0;
+
 /// Number of parts.
 const PARTS: usize = 7;
 
 impl Variation {
     /// Starting values; ranges keep the search physical.
     const START: Self = Self {
-        noise_m_s2: 0.05,
+        noise_m_s2: 0.04,
         load: 0.01,
         side_load: 0.005,
-        depth: 0.03,
-        shift_m: 0.005,
-        own_m: 3e-6,
+        depth: 0.05,
+        shift_m: 0.01,
+        own_m: 10e-6,
         own_stock_m: 1e-6,
     };
-    const RANGE: [[f64; 2]; PARTS] =
-        [[0.01, 2.0], [1e-3, 0.1], [1e-3, 0.05], [1e-3, 0.3], [1e-3, 0.1], [1e-7, 3e-4], [1e-7, 1e-3]];
+    const RANGE: [[f64; 2]; PARTS] = [
+        [0.01, MOST_NOISE_M_S2],
+        [1e-3, 0.1],
+        [1e-3, 0.05],
+        [1e-3, 0.3],
+        [1e-3, 0.1],
+        [1e-7, 3e-4],
+        [1e-7, 1e-3],
+    ];
 
     fn values(&self) -> [f64; PARTS] {
         [self.noise_m_s2, self.load, self.side_load, self.depth, self.shift_m, self.own_m, self.own_stock_m]
@@ -68,29 +83,58 @@ impl Variation {
 /// Shapes of the parts of one passage's covariance, each for size 1.
 pub struct Shapes {
     parts: Vec<Mat<f64>>,
+    /// What the square of a wheel's shift adds; its size follows from that of the shift.
+    curvature: Mat<f64>,
+    /// Correlation of the noise over distance in samples: it ends where the band of the windows does.
+    noise: Vec<f64>,
     len: usize,
+}
+
+/// What is left of the noise beyond the band, m/s². It does not scale with the noise: a third of a window's directions lie
+/// there, and would otherwise tell that there is none.
+const OUT_OF_BAND_M_S2: f64 = 5e-3;
+
+/// Correlation of noise that is white up to the end of the band.
+fn band_noise(len: usize) -> Vec<f64> {
+    const LINES: usize = 400;
+    let at = |lag: usize| -> f64 {
+        (0..LINES)
+            .map(|k| {
+                let f_hz = (k as f64 + 0.5) / LINES as f64 * 0.5 * RATE_HZ;
+                let phase = std::f64::consts::TAU * f_hz * lag as f64 / RATE_HZ;
+                taper(f_hz, BAND_HZ[0], BAND_HZ[1]).powi(2) * phase.cos()
+            })
+            .sum()
+    };
+    let whole = at(0);
+    (0..len).map(|lag| at(lag) / whole).collect()
+}
+
+/// Variance of half the square of a Gaussian shift.
+fn bend(shift_m: f64) -> f64 {
+    0.5 * shift_m.powi(4)
 }
 
 /// Correlation length of a wheel's own irregularity, metres.
 const OWN_CORRELATION_M: f64 = 0.12;
-/// Step for the slope of the path, metres.
-const SLOPE_M: f64 = 5e-3;
 
 impl Shapes {
     /// For the windows of one passage.
-    pub fn new(responses: &BogieResponses, grids: &PathSplines, path: &Path) -> Self {
+    pub fn new(responses: &BogieResponses, grids: &PathSplines) -> Self {
         let len = responses.profile[0].nrows();
         let mut parts: Vec<Mat<f64>> = (0..PARTS - 1).map(|_| Mat::zeros(len, len)).collect();
+        let mut curvature = Mat::zeros(len, len);
         let knots = grids.knots();
-        let [depth, slope] = path_shapes(path).map(|c| Mat::from_fn(c.len(), 1, |i, _| c[i]));
         for axle in 0..2 {
             let a = &responses.profile[axle];
             let [c, s] = &responses.load[axle];
+            let moves = &responses.moves[axle];
             let column = |f: &dyn Fn(usize) -> f64| Mat::from_fn(len, 1, |k, _| f(k));
             add_outer(&mut parts[0], &column(&|k| c[k] + s[k]));
             add_outer(&mut parts[1], &column(&|k| c[k] - s[k]));
-            add_outer(&mut parts[2], &(a * &depth));
-            add_outer(&mut parts[3], &(a * &slope));
+            add_outer(&mut parts[2], &column(&|k| moves.depth[k]));
+            add_outer(&mut parts[3], &column(&|k| moves.shift[k]));
+            add_outer(&mut curvature, &column(&|k| moves.curvature[k]));
             for (part, side) in [(4, Side::Crossing), (5, Side::Stock)] {
                 let own = Mat::from_fn(knots.len(), knots.len(), |i, j| {
                     if knots[i].0 != side || knots[j].0 != side {
@@ -102,15 +146,18 @@ impl Shapes {
                 parts[part] += &half * a.transpose();
             }
         }
-        Self { parts, len }
+        Self { parts, curvature, noise: band_noise(len), len }
     }
 
     /// Covariance of one bogie's window.
     pub fn covariance(&self, variation: &Variation) -> Mat<f64> {
         let v = variation.values();
-        let mut out = Mat::from_fn(self.len, self.len, |i, j| if i == j { v[0] * v[0] } else { 0.0 });
-        for (part, size) in self.parts.iter().zip(&v[1..]) {
-            let square = size * size;
+        let mut out = Mat::from_fn(self.len, self.len, |i, j| {
+            v[0] * v[0] * self.noise[i.abs_diff(j)]
+                + if i == j { OUT_OF_BAND_M_S2 * OUT_OF_BAND_M_S2 } else { 0.0 }
+        });
+        let squares = v[1..].iter().map(|size| size * size).chain([bend(variation.shift_m)]);
+        for (part, square) in self.parts.iter().chain([&self.curvature]).zip(squares) {
             for j in 0..self.len {
                 for i in 0..self.len {
                     out[(i, j)] += square * part[(i, j)];
@@ -139,19 +186,6 @@ impl Shapes {
     }
 }
 
-/// Depth and slope of the path on the crossing side at the knots of its splines.
-pub fn path_shapes(path: &Path) -> [Vec<f64>; 2] {
-    let knots = path.deviation.knots();
-    let pick = |f: &dyn Fn(f64) -> f64| -> Vec<f64> {
-        knots.iter().map(|(side, x)| if *side == Side::Crossing { f(*x) } else { 0.0 }).collect()
-    };
-    let depth = pick(&|x| path.at(Side::Crossing, x));
-    let slope = pick(&|x| {
-        (path.at(Side::Crossing, x + SLOPE_M) - path.at(Side::Crossing, x - SLOPE_M)) / (2.0 * SLOPE_M)
-    });
-    [depth, slope]
-}
-
 fn add_outer(target: &mut Mat<f64>, column: &Mat<f64>) {
     *target += column * column.transpose();
 }
@@ -162,37 +196,177 @@ pub fn scatter(residuals: &[Vec<f64>]) -> Mat<f64> {
     Mat::from_fn(mean.len(), residuals.len(), |k, c| residuals[c][k] - mean[k])
 }
 
-/// Steps of the search, as factors.
-const FACTORS: [f64; 3] = [3.0, 1.6, 1.25];
+/// Steps of the search, as factors: of everything but the noise, which could stand in for everything and would then not be
+/// called back, and of all sizes.
+const OWN_FACTORS: [f64; 2] = [3.0, 1.6];
+const FACTORS: [f64; 4] = [3.0, 1.6, 1.25, 1.1];
+/// Most rounds with one factor: parts that resemble one another give way in turn.
+const ROUNDS: usize = 3;
+/// A round that gains less than this, nats, was the last with its factor.
+const WORTH_ANOTHER: f64 = 1.0;
 
-/// Sizes that make the scatter most probable: one at a time, by shrinking factors.
-pub fn estimate(passages: &[(&Shapes, Mat<f64>)]) -> Variation {
-    use rayon::prelude::*;
-    let total = |v: &[f64; PARTS]| -> f64 {
-        let variation = Variation::of_values(*v);
-        passages.par_iter().map(|(shapes, scatter)| shapes.log_likelihood(&variation, scatter)).sum()
-    };
-    let mut best = Variation::START.values();
-    let mut highest = total(&best);
-    for factor in FACTORS {
-        for part in 0..PARTS {
-            for step in [factor, 1.0 / factor] {
-                let mut moved = false;
-                loop {
-                    let mut candidate = best;
-                    candidate[part] =
-                        (candidate[part] * step).clamp(Variation::RANGE[part][0], Variation::RANGE[part][1]);
-                    let found = if candidate == best { f64::NEG_INFINITY } else { total(&candidate) };
-                    if found <= highest {
-                        break;
-                    }
-                    (best, highest, moved) = (candidate, found, true);
+/// Sizes that make the scatter of windows recorded by `sensor` most probable: one at a time, by shrinking factors.
+pub fn estimate(passages: &[(&Shapes, Mat<f64>)], sensor: &Sensor) -> Variation {
+    let in_band = (2.0 * BAND_HZ[1] / sensor.sample_rate_hz).min(1.0).sqrt();
+    let mut range = Variation::RANGE;
+    range[0][1] = MOST_NOISE_M_S2.max(MOST_NOISE * in_band * sensor.noise_rms_m_s2);
+    let mut search = Search::new(passages, range);
+    search.sweep(&OWN_FACTORS, 1);
+    search.sweep(&FACTORS, 0);
+    Variation::of_values(search.best)
+}
+
+/// Search for the sizes of the parts.
+struct Search<'a> {
+    passages: &'a [(&'a Shapes, Mat<f64>)],
+    range: [[f64; 2]; PARTS],
+    best: [f64; PARTS],
+    highest: f64,
+}
+
+impl<'a> Search<'a> {
+    fn new(passages: &'a [(&'a Shapes, Mat<f64>)], range: [[f64; 2]; PARTS]) -> Self {
+        let mut search = Self { passages, range, best: Variation::START.values(), highest: 0.0 };
+        search.highest = search.log_likelihood(search.best);
+        search
+    }
+
+    fn log_likelihood(&self, values: [f64; PARTS]) -> f64 {
+        use rayon::prelude::*;
+        let variation = Variation::of_values(values);
+        self.passages.par_iter().map(|(shapes, scatter)| shapes.log_likelihood(&variation, scatter)).sum()
+    }
+
+    /// Rounds over the parts from `first` on, with each factor in turn.
+    fn sweep(&mut self, factors: &[f64], first: usize) {
+        for factor in factors {
+            for _ in 0..ROUNDS {
+                let before = self.highest;
+                for part in first..PARTS {
+                    // What grows need not be tried smaller.
+                    let _ = self.walk(part, *factor) || self.walk(part, 1.0 / factor);
                 }
-                if moved {
+                if self.highest - before < WORTH_ANOTHER {
                     break;
                 }
             }
         }
     }
-    Variation::of_values(best)
+
+    /// Multiplies one size by `step` as long as that helps; whether it did.
+    fn walk(&mut self, part: usize, step: f64) -> bool {
+        let [least, most] = self.range[part];
+        let mut moved = false;
+        loop {
+            let mut candidate = self.best;
+            candidate[part] = (candidate[part] * step).clamp(least, most);
+            if candidate == self.best {
+                return moved;
+            }
+            let found = self.log_likelihood(candidate);
+            if found <= self.highest {
+                return moved;
+            }
+            (self.best, self.highest, moved) = (candidate, found, true);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+    use crate::gap::linear::WheelMoves;
+    use crate::passage::random::Random;
+    use crate::recording::read_site;
+    use crate::signal::brick_band;
+
+    const LEN: usize = 128;
+    const WINDOWS: usize = 6;
+
+    /// A bogie whose wheels excite waves that differ by axle and kind; the slope and curvature are those of a shifted wave.
+    fn responses(grids: &PathSplines) -> BogieResponses {
+        let wave = |amplitude: f64, f_hz: f64, phase: f64| -> Vec<f64> {
+            (0..LEN)
+                .map(|k| amplitude * (std::f64::consts::TAU * f_hz * k as f64 / RATE_HZ + phase).sin())
+                .collect()
+        };
+        let mut out = BogieResponses::without_path(LEN, grids.len());
+        for axle in 0..2 {
+            let late = 1.3 * axle as f64;
+            out.load[axle] = [wave(8.0, 20.0, late), wave(5.0, 31.0, late)];
+            out.moves[axle] = WheelMoves {
+                depth: wave(12.0, 70.0, late),
+                shift: wave(600.0, 130.0, late + 0.4),
+                curvature: wave(2.0e4, 180.0, late),
+            };
+        }
+        out
+    }
+
+    /// Deviations of the windows of a train whose wheels differ by known sizes.
+    fn drawn(r: &BogieResponses, truth: &Variation, random: &mut Random) -> Mat<f64> {
+        let windows: Vec<Vec<f64>> = (0..WINDOWS)
+            .map(|_| {
+                let white: Vec<f64> = (0..LEN).map(|_| random.normal()).collect();
+                // White over the band: RMS 1 after the rest is cut off.
+                let scale = truth.noise_m_s2 * (0.5 * RATE_HZ / 275.0).sqrt();
+                let mut window: Vec<f64> =
+                    brick_band(&white, RATE_HZ, 0.0, 275.0).iter().map(|v| scale * v).collect();
+                for axle in 0..2 {
+                    let [c, s] = &r.load[axle];
+                    let m = &r.moves[axle];
+                    let (load, side) = (truth.load * random.normal(), truth.side_load * random.normal());
+                    let (depth, shift) = (truth.depth * random.normal(), truth.shift_m * random.normal());
+                    for (k, value) in window.iter_mut().enumerate() {
+                        *value += c[k] * (load + side) + s[k] * (load - side) + depth * m.depth[k];
+                        *value += shift * m.shift[k] + 0.5 * shift * shift * m.curvature[k];
+                    }
+                }
+                window
+            })
+            .collect();
+        scatter(&windows)
+    }
+
+    #[test]
+    fn property_sizes_are_found_again_in_drawn_windows() {
+        let grids = PathSplines::level(3.4, [0.055, 0.11]);
+        let r = responses(&grids);
+        let shapes = Shapes::new(&r, &grids);
+        let truth = Variation {
+            noise_m_s2: 0.04,
+            load: 0.02,
+            side_load: 0.01,
+            depth: 0.05,
+            shift_m: 0.01,
+            own_m: 0.0,
+            own_stock_m: 0.0,
+        };
+        let mut random = Random::new(5, 1);
+        let passages: Vec<(&Shapes, Mat<f64>)> =
+            (0..16).map(|_| (&shapes, drawn(&r, &truth, &mut random))).collect();
+        let dir = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/data/field/reference-2");
+        let found = estimate(&passages, &read_site(&dir).unwrap().crossing.sensor);
+        for (name, found, truth) in [
+            ("noise", found.noise_m_s2, truth.noise_m_s2),
+            ("load", found.load, truth.load),
+            ("side load", found.side_load, truth.side_load),
+            ("depth", found.depth, truth.depth),
+            ("shift", found.shift_m, truth.shift_m),
+        ] {
+            assert!((found / truth).ln().abs() < 0.25, "{name}: {found} instead of {truth}");
+        }
+    }
+
+    #[test]
+    fn analytic_noise_of_a_band_is_one_at_lag_nought_and_falls_off() {
+        let r = band_noise(LEN);
+        assert!((r[0] - 1.0).abs() < 1e-12);
+        // White to 250 Hz and 3/8 of the squared taper's 50 Hz: sin(x)/x with x = pi 268.75/400 at lag 1.
+        let x = std::f64::consts::PI * 268.75 / 400.0;
+        assert!((r[1] - x.sin() / x).abs() < 2e-3, "{}", r[1]);
+        assert!(r[LEN - 1].abs() < 0.01);
+    }
 }

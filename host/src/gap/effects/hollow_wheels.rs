@@ -12,7 +12,7 @@ use rayon::prelude::*;
 use crate::gap::effect::Stage;
 use crate::gap::fit::whitened;
 use crate::gap::latent::{Latent, LatentFit, Scene};
-use crate::gap::variation::{Variation, path_shapes};
+use crate::gap::variation::Variation;
 
 /// See the module.
 pub struct HollowWheels;
@@ -63,9 +63,8 @@ impl Latent for HollowWheels {
     }
 
     fn explore(&self, scene: &Scene) -> Option<LatentFit> {
-        let shapes = path_shapes(&scene.world.path);
         let all: Vec<Own> =
-            (0..scene.observed.len()).into_par_iter().flat_map_iter(|i| own(scene, &shapes, i)).collect();
+            (0..scene.observed.len()).into_par_iter().flat_map_iter(|i| own(scene, i)).collect();
         let learnt: Vec<Own> = all.iter().copied().filter(|o| scene.train.contains(&o.passage)).collect();
         if learnt.len() < 24 {
             return None;
@@ -84,7 +83,7 @@ impl Latent for HollowWheels {
                 for o in all.iter().filter(|o| o.passage == i) {
                     let second = two.second(o);
                     let mean = |k: usize| second * two.mean[1][k] + (1.0 - second) * two.mean[0][k];
-                    let columns = plain_columns(scene, &shapes, i, o.axle);
+                    let columns = plain_columns(scene, i, o.axle);
                     for (k, value) in list[o.bogie].iter_mut().enumerate() {
                         *value += mean(0) * columns[(k, 0)] + mean(1) * columns[(k, 1)];
                     }
@@ -102,15 +101,13 @@ impl Latent for HollowWheels {
 }
 
 /// What a path deeper by its own depth and shifted by 1 m adds to a window: two columns.
-fn plain_columns(scene: &Scene, shapes: &[Vec<f64>; 2], passage: usize, axle: usize) -> Mat<f64> {
-    let profile = &scene.responses[passage].profile[axle];
-    let coefficients =
-        Mat::from_fn(profile.ncols(), 2, |j, c| if c == 0 { shapes[0][j] } else { -shapes[1][j] });
-    profile * &coefficients
+fn plain_columns(scene: &Scene, passage: usize, axle: usize) -> Mat<f64> {
+    let moves = &scene.responses[passage].moves[axle];
+    Mat::from_fn(moves.depth.len(), 2, |k, c| if c == 0 { moves.depth[k] } else { moves.shift[k] })
 }
 
 /// Depth and shift of all wheelsets of a passage, both axles of a bogie together.
-fn own(scene: &Scene, shapes: &[Vec<f64>; 2], passage: usize) -> Vec<Own> {
+fn own(scene: &Scene, passage: usize) -> Vec<Own> {
     let v = &scene.variation;
     let variation = Variation {
         depth: WITHOUT.0,
@@ -122,7 +119,7 @@ fn own(scene: &Scene, shapes: &[Vec<f64>; 2], passage: usize) -> Vec<Own> {
         own_stock_m: v.own_stock_m.min(NATURAL.own_stock_m),
     };
     let Some(factor) = scene.shapes[passage].factor(&variation) else { return Vec::new() };
-    let columns = [0, 1].map(|axle| plain_columns(scene, shapes, passage, axle));
+    let columns = [0, 1].map(|axle| plain_columns(scene, passage, axle));
     let n = columns[0].nrows();
     let x = whitened(&factor, &Mat::from_fn(n, 4, |k, c| columns[c / 2][(k, c % 2)]));
     let residuals = &scene.residuals[passage];

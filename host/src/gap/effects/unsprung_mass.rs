@@ -14,7 +14,7 @@ const PARAMETERS: [Parameter; 1] = [Parameter {
     prior: (0.0, 0.3),
     range: [-1.0, 1.0],
     step: 0.04,
-    least: 0.1,
+    least: 0.06,
     model_error: MODEL_ERROR,
     nuisance: false,
 }];

@@ -46,6 +46,10 @@ const RELIEVED: (f64, f64) = (250.0, 400.0);
 /// wheels give.
 const MOST_SHARED: f64 = 0.65;
 
+/// Share of the wheels above which a defect is no single wheels': flats on 95 of 100 wheels, the end of the range, were what a
+/// fit over voids made of their scatter.
+const MOST_WHEELS: f64 = 0.9;
+
 /// A latent effect, what it found, and the part of the displacement's residual that this explains.
 type Explored = (&'static dyn Latent, Option<LatentFit>, f64);
 
@@ -201,7 +205,8 @@ impl Session<'_> {
             let share = f.as_ref().map_or(0.0, |f| self.share_of(f));
             let of_wheels = e.acts_on() == ActsOn::Wheels;
             let full = (share > LATENT_SHARE || *moved > DISPLACEMENT_SHARE)
-                && !(of_wheels && f.as_ref().is_some_and(|f| self.shared_by_bogies(f) > MOST_SHARED));
+                && !(of_wheels && f.as_ref().is_some_and(|f| self.shared_by_bogies(f) > MOST_SHARED))
+                && !f.as_ref().is_some_and(everywhere);
             // What a lost model leaves over is no wheel's; elsewhere the mean says nothing of single wheels.
             let doubt = LATENT_INFLATION * if reference.lost() { inflation } else { 1.0 };
             let gain = f.as_ref().map_or(0.0, |f| f.gain) / doubt;
@@ -448,6 +453,11 @@ impl Session<'_> {
         }
         (crate::signal::quantile(&above, 0.5), own_sum)
     }
+}
+
+/// Whether a defect is on so many wheels that it stands in for something that all of them meet.
+fn everywhere(found: &LatentFit) -> bool {
+    found.parameters.iter().any(|(name, share, ..)| *name == "share" && *share > MOST_WHEELS)
 }
 
 /// What differs between wheels is no panel's doing, but changes their mean, which an effect of the panel can follow: its gain

@@ -138,7 +138,7 @@ pub struct Residual {
 /// effect reach 12, the weakest known effect 30: `docs/diagnosis.md`.
 const LEAST_GAIN: f64 = 20.0;
 /// Standard deviation of the path around the scan and of the stock rail, metres: as the reference recordings have it.
-const PATH_PRIOR: PathPrior = PathPrior { inside_m: 10e-6, outside_m: 20e-6, stock_m: 15e-6 };
+pub const PATH_PRIOR: PathPrior = PathPrior { inside_m: 10e-6, outside_m: 20e-6, stock_m: 15e-6 };
 /// Passages used for the search; all training passages for the final fit.
 const SEARCH_PASSAGES: usize = 12;
 

@@ -228,7 +228,10 @@ pub fn base(
     let deviation_root = path_root(site, &grids, prior)?;
     // Without a scan the path must be found together with the ballast; with one, ballast and axle times come first.
     let responses: Vec<BogieResponses> = match site.scan {
-        None => linearise(&world, &observed)?.0,
+        None => {
+            let linear = Linear::new(&world, &observed)?;
+            observed.par_iter().map(|o| linear.responses(o)).collect()
+        }
         Some(_) => observed.iter().map(|o| BogieResponses::without_path(o.mean.len(), grids.len())).collect(),
     };
     let factors = rough_factors(&observed);
@@ -292,8 +295,8 @@ fn linearise(world: &World, observed: &[Observed]) -> Result<(Vec<BogieResponses
     let both: Vec<(BogieResponses, Shapes)> = observed
         .par_iter()
         .map(|o| {
-            let r = linear.responses(o)?;
-            let shapes = Shapes::new(&r, grids);
+            let r = linear.responses(o);
+            let shapes = Shapes::new(&r, linear.moves(o)?, grids);
             Ok((r, shapes))
         })
         .collect::<Result<_, GapError>>()?;

@@ -135,7 +135,7 @@ pub struct Residual {
 }
 
 /// Gain in log evidence per independent look below which an effect is not named. Reference recordings with room for an
-/// effect reach 12, the weakest known effect 30: `docs/diagnosis.md`.
+/// effect reach 12, the weakest known effect 25: `docs/diagnosis.md`.
 const LEAST_GAIN: f64 = 20.0;
 /// Standard deviation of the path around the scan and of the stock rail, metres: as the reference recordings have it.
 pub const PATH_PRIOR: PathPrior = PathPrior { inside_m: 10e-6, outside_m: 20e-6, stock_m: 15e-6 };

@@ -22,6 +22,7 @@ const DT_S: f64 = 1.25e-4;
 const SLEEPERS: usize = 13;
 
 /// Simulation of a bogie over a track, ready for any speed.
+#[derive(Clone)]
 pub struct Simulator {
     stepper: Stepper,
     train: Train,
@@ -72,36 +73,33 @@ impl Simulator {
         let extent = [-world.path.half_m, world.path.half_m];
         let side = world.path.deviation.knots()[knot].0;
         let profile = Profile::of(extent, GRID_M, |x| moved.at(side, x))?;
-        let (mut train, mut surface) = (self.train.clone(), self.surface.clone());
+        let mut out = self.clone();
         match side {
             Side::Crossing => {
-                surface.paths.push(profile);
-                train.wheels[2 * axle].path = surface.paths.len() - 1;
+                out.surface.paths.push(profile);
+                out.train.wheels[2 * axle].path = out.surface.paths.len() - 1;
             }
-            Side::Stock => surface.stock = profile,
+            Side::Stock => out.surface.stock = profile,
         }
-        let antialias = self.antialias.clone();
-        Ok(Self { stepper: self.stepper.clone(), train, surface, antialias, ..*self })
+        Ok(out)
     }
 
     /// The same with the front (0) or rear (1) wheel on the crossing side on a path of another depth, met later in x.
     pub fn with_own_path(&self, axle: usize, depth_factor: f64, shift_m: f64) -> Self {
-        let mut train = self.train.clone();
-        let wheel = &mut train.wheels[2 * axle];
+        let mut out = self.clone();
+        let wheel = &mut out.train.wheels[2 * axle];
         wheel.depth_factor *= depth_factor;
         wheel.shift_m += shift_m;
-        let (stepper, surface) = (self.stepper.clone(), self.surface.clone());
-        Self { stepper, train, surface, antialias: self.antialias.clone(), ..*self }
+        out
     }
 
     /// The same with a flat on both wheels of the front (0) or rear (1) wheelset.
     pub fn with_flat(&self, axle: usize, flat: WheelFlat) -> Self {
-        let mut train = self.train.clone();
-        for wheel in &mut train.wheels[2 * axle..2 * axle + 2] {
+        let mut out = self.clone();
+        for wheel in &mut out.train.wheels[2 * axle..2 * axle + 2] {
             wheel.flat = Some(flat);
         }
-        let (stepper, surface) = (self.stepper.clone(), self.surface.clone());
-        Self { stepper, train, surface, antialias: self.antialias.clone(), ..*self }
+        out
     }
 
     /// Acceleration at the sensor while one bogie passes at `speed_m_s` by the recorder's clock.

@@ -34,8 +34,6 @@ pub struct BogieResponses {
     pub profile: [Mat<f64>; 2],
     /// Front and rear wheelset, crossing and stock side: window per relative change of load.
     pub load: [[Vec<f64>; 2]; 2],
-    /// Front and rear wheelset on the crossing side.
-    pub moves: [WheelMoves; 2],
 }
 
 /// What one wheel's own path through the crossing adds to a window.
@@ -57,11 +55,6 @@ impl BogieResponses {
             both: none(),
             profile: [none(), none()],
             load: std::array::from_fn(|_| [vec![0.0; len], vec![0.0; len]]),
-            moves: std::array::from_fn(|_| WheelMoves {
-                depth: vec![0.0; len],
-                shift: vec![0.0; len],
-                curvature: vec![0.0; len],
-            }),
         }
     }
 }
@@ -100,7 +93,7 @@ impl Linear {
     }
 
     /// For the windows of a passage.
-    pub fn responses(&self, o: &Observed) -> Result<BogieResponses, GapError> {
+    pub fn responses(&self, o: &Observed) -> BogieResponses {
         let weights = weights(&self.nodes, o.speed_m_s);
         let gap_s = self.axle_spacing_m / o.speed_m_s;
         let at = |axle: usize, knot: usize, t: f64| -> f64 {
@@ -141,12 +134,16 @@ impl Linear {
                 })
                 .collect()
         };
-        let here = self.simulator.response(o.speed_m_s)?;
-        let moves = [self.moves(0, &here, o)?, self.moves(1, &here, o)?];
-        Ok(BogieResponses { both, profile, load: [[load(0), load(1)], [load(2), load(3)]], moves })
+        BogieResponses { both, profile, load: [[load(0), load(1)], [load(2), load(3)]] }
     }
 
-    fn moves(&self, axle: usize, here: &Response, o: &Observed) -> Result<WheelMoves, GapError> {
+    /// What depth and shift of the path of the front and of the rear wheel add to a window of a passage.
+    pub fn moves(&self, o: &Observed) -> Result<[WheelMoves; 2], GapError> {
+        let here = self.simulator.response(o.speed_m_s)?;
+        Ok([self.moved(0, &here, o)?, self.moved(1, &here, o)?])
+    }
+
+    fn moved(&self, axle: usize, here: &Response, o: &Observed) -> Result<WheelMoves, GapError> {
         let moved = |depth: f64, shift_m: f64| {
             self.simulator.with_own_path(axle, 1.0 + depth, shift_m).response(o.speed_m_s)
         };

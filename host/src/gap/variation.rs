@@ -9,7 +9,7 @@ use faer::linalg::solvers::Llt;
 
 use super::data::RATE_HZ;
 use super::forward::BAND_HZ;
-use super::linear::BogieResponses;
+use super::linear::{BogieResponses, WheelMoves};
 use super::splines::PathSplines;
 use crate::recording::Sensor;
 use crate::signal::taper;
@@ -34,9 +34,8 @@ pub struct Variation {
     pub own_stock_m: f64,
 }
 
-/// Noise is not taken for more than this, m/s², or for this many times what the sensor is said to have in the band: it would
-/// stand in for what single wheels do, and then also hide what small parts of the signal tell.
-const MOST_NOISE_M_S2: f64 = 0.15;
+/// Noise is not taken for more than the end of its range, or for this many times what the sensor is said to have in the band:
+/// it would stand in for what single wheels do, and then also hide what small parts of the signal tell.
 const MOST_NOISE: f64 = 4.0;
 
 /// Number of parts.
@@ -53,15 +52,8 @@ impl Variation {
         own_m: 10e-6,
         own_stock_m: 1e-6,
     };
-    const RANGE: [[f64; 2]; PARTS] = [
-        [0.01, MOST_NOISE_M_S2],
-        [1e-3, 0.1],
-        [1e-3, 0.05],
-        [1e-3, 0.3],
-        [1e-3, 0.1],
-        [1e-7, 3e-4],
-        [1e-7, 1e-3],
-    ];
+    const RANGE: [[f64; 2]; PARTS] =
+        [[0.01, 0.15], [1e-3, 0.1], [1e-3, 0.05], [1e-3, 0.3], [1e-3, 0.1], [1e-7, 3e-4], [1e-7, 1e-3]];
 
     fn values(&self) -> [f64; PARTS] {
         [self.noise_m_s2, self.load, self.side_load, self.depth, self.shift_m, self.own_m, self.own_stock_m]
@@ -82,6 +74,8 @@ impl Variation {
 
 /// Shapes of the parts of one passage's covariance, each for size 1.
 pub struct Shapes {
+    /// What the own path of the front and of the rear wheel adds to a window.
+    pub moves: [WheelMoves; 2],
     parts: Vec<Mat<f64>>,
     /// What the square of a wheel's shift adds; its size follows from that of the shift.
     curvature: Mat<f64>,
@@ -120,7 +114,7 @@ const OWN_CORRELATION_M: f64 = 0.12;
 
 impl Shapes {
     /// For the windows of one passage.
-    pub fn new(responses: &BogieResponses, grids: &PathSplines) -> Self {
+    pub fn new(responses: &BogieResponses, moves: [WheelMoves; 2], grids: &PathSplines) -> Self {
         let len = responses.profile[0].nrows();
         let mut parts: Vec<Mat<f64>> = (0..PARTS - 1).map(|_| Mat::zeros(len, len)).collect();
         let mut curvature = Mat::zeros(len, len);
@@ -128,7 +122,7 @@ impl Shapes {
         for axle in 0..2 {
             let a = &responses.profile[axle];
             let [c, s] = &responses.load[axle];
-            let moves = &responses.moves[axle];
+            let moves = &moves[axle];
             let column = |f: &dyn Fn(usize) -> f64| Mat::from_fn(len, 1, |k, _| f(k));
             add_outer(&mut parts[0], &column(&|k| c[k] + s[k]));
             add_outer(&mut parts[1], &column(&|k| c[k] - s[k]));
@@ -146,7 +140,7 @@ impl Shapes {
                 parts[part] += &half * a.transpose();
             }
         }
-        Self { parts, curvature, noise: band_noise(len), len }
+        Self { moves, parts, curvature, noise: band_noise(len), len }
     }
 
     /// Covariance of one bogie's window.
@@ -209,7 +203,7 @@ const WORTH_ANOTHER: f64 = 1.0;
 pub fn estimate(passages: &[(&Shapes, Mat<f64>)], sensor: &Sensor) -> Variation {
     let in_band = (2.0 * BAND_HZ[1] / sensor.sample_rate_hz).min(1.0).sqrt();
     let mut range = Variation::RANGE;
-    range[0][1] = MOST_NOISE_M_S2.max(MOST_NOISE * in_band * sensor.noise_rms_m_s2);
+    range[0][1] = range[0][1].max(MOST_NOISE * in_band * sensor.noise_rms_m_s2);
     let mut search = Search::new(passages, range);
     search.sweep(&OWN_FACTORS, 1);
     search.sweep(&FACTORS, 0);
@@ -277,7 +271,6 @@ mod tests {
     use std::path::Path;
 
     use super::*;
-    use crate::gap::linear::WheelMoves;
     use crate::passage::random::Random;
     use crate::recording::read_site;
     use crate::signal::brick_band;
@@ -286,27 +279,30 @@ mod tests {
     const WINDOWS: usize = 6;
 
     /// A bogie whose wheels excite waves that differ by axle and kind; the slope and curvature are those of a shifted wave.
-    fn responses(grids: &PathSplines) -> BogieResponses {
+    fn responses(grids: &PathSplines) -> (BogieResponses, [WheelMoves; 2]) {
         let wave = |amplitude: f64, f_hz: f64, phase: f64| -> Vec<f64> {
             (0..LEN)
                 .map(|k| amplitude * (std::f64::consts::TAU * f_hz * k as f64 / RATE_HZ + phase).sin())
                 .collect()
         };
         let mut out = BogieResponses::without_path(LEN, grids.len());
-        for axle in 0..2 {
-            let late = 1.3 * axle as f64;
-            out.load[axle] = [wave(8.0, 20.0, late), wave(5.0, 31.0, late)];
-            out.moves[axle] = WheelMoves {
-                depth: wave(12.0, 70.0, late),
-                shift: wave(600.0, 130.0, late + 0.4),
-                curvature: wave(2.0e4, 180.0, late),
-            };
-        }
-        out
+        let late = [0.0, 1.3];
+        out.load = late.map(|late| [wave(8.0, 20.0, late), wave(5.0, 31.0, late)]);
+        let moves = late.map(|late| WheelMoves {
+            depth: wave(12.0, 70.0, late),
+            shift: wave(600.0, 130.0, late + 0.4),
+            curvature: wave(2.0e4, 180.0, late),
+        });
+        (out, moves)
     }
 
     /// Deviations of the windows of a train whose wheels differ by known sizes.
-    fn drawn(r: &BogieResponses, truth: &Variation, random: &mut Random) -> Mat<f64> {
+    fn drawn(
+        r: &BogieResponses,
+        moves: &[WheelMoves; 2],
+        truth: &Variation,
+        random: &mut Random,
+    ) -> Mat<f64> {
         let windows: Vec<Vec<f64>> = (0..WINDOWS)
             .map(|_| {
                 let white: Vec<f64> = (0..LEN).map(|_| random.normal()).collect();
@@ -316,7 +312,7 @@ mod tests {
                     brick_band(&white, RATE_HZ, 0.0, 275.0).iter().map(|v| scale * v).collect();
                 for axle in 0..2 {
                     let [c, s] = &r.load[axle];
-                    let m = &r.moves[axle];
+                    let m = &moves[axle];
                     let (load, side) = (truth.load * random.normal(), truth.side_load * random.normal());
                     let (depth, shift) = (truth.depth * random.normal(), truth.shift_m * random.normal());
                     for (k, value) in window.iter_mut().enumerate() {
@@ -333,8 +329,8 @@ mod tests {
     #[test]
     fn property_sizes_are_found_again_in_drawn_windows() {
         let grids = PathSplines::level(3.4, [0.055, 0.11]);
-        let r = responses(&grids);
-        let shapes = Shapes::new(&r, &grids);
+        let (r, moves) = responses(&grids);
+        let shapes = Shapes::new(&r, moves, &grids);
         let truth = Variation {
             noise_m_s2: 0.04,
             load: 0.02,
@@ -346,7 +342,7 @@ mod tests {
         };
         let mut random = Random::new(5, 1);
         let passages: Vec<(&Shapes, Mat<f64>)> =
-            (0..16).map(|_| (&shapes, drawn(&r, &truth, &mut random))).collect();
+            (0..16).map(|_| (&shapes, drawn(&r, &shapes.moves, &truth, &mut random))).collect();
         let dir = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/data/field/reference-2");
         let found = estimate(&passages, &read_site(&dir).unwrap().crossing.sensor);
         for (name, found, truth) in [

@@ -102,7 +102,7 @@ impl Latent for HollowWheels {
 
 /// What a path deeper by its own depth and shifted by 1 m adds to a window: two columns.
 fn plain_columns(scene: &Scene, passage: usize, axle: usize) -> Mat<f64> {
-    let moves = &scene.responses[passage].moves[axle];
+    let moves = &scene.shapes[passage].moves[axle];
     Mat::from_fn(moves.depth.len(), 2, |k, c| if c == 0 { moves.depth[k] } else { moves.shift[k] })
 }
 

@@ -60,7 +60,7 @@ pub fn round<'e>(
     let with =
         |e: usize| -> Vec<&'e dyn Effect> { accepted.iter().copied().chain([candidates[e]]).collect() };
     let fits = if let Some(afar) = from_afar {
-        fits_from_afar(frame, afar, &order, &with, hints, subset)
+        fits_from_afar(frame, afar, &order, &with, (hints, accepted.is_empty()), subset)
     } else {
         let largest = order.first().map_or(0.0, |o| o.1);
         let most = if accepted.is_empty() { FITTED.0 } else { FITTED.1 };
@@ -82,13 +82,14 @@ pub fn round<'e>(
     Ok((tried, screening))
 }
 
-/// Fits in the order of `order`: every candidate is scouted from all its starts, and the most promising are fitted.
+/// Fits in the order of `order`: every candidate is scouted from all its starts, and the most promising are fitted; the best of
+/// the first effects from all its starts once more where it is lost.
 fn fits_from_afar<'e>(
     frame: &Frame,
     state: &State,
     order: &[(usize, f64, usize)],
     with: &(dyn Fn(usize) -> Vec<&'e dyn Effect> + Sync),
-    hints: &Hints,
+    (hints, first): (&Hints, bool),
     subset: &[usize],
 ) -> Vec<Option<Fit>> {
     let scouted: Vec<Option<Fit>> = order
@@ -116,8 +117,8 @@ fn fits_from_afar<'e>(
         .collect();
     // Where even the best is lost, the few passages may have chosen the wrong one of its starts.
     let evidence = |k: &usize| fits[*k].as_ref().map_or(f64::NEG_INFINITY, |f| f.log_evidence);
-    let first = (0..fits.len()).max_by(|a, b| evidence(a).total_cmp(&evidence(b)));
-    if let Some(k) = first.filter(|k| fits[*k].as_ref().is_some_and(Fit::lost)) {
+    let best = (0..fits.len()).max_by(|a, b| evidence(a).total_cmp(&evidence(b)));
+    if let Some(k) = best.filter(|k| first && fits[*k].as_ref().is_some_and(Fit::lost)) {
         let again = from_every_start(frame, state, &with(order[k].0), hints, subset);
         fits[k] = fits[k].take().into_iter().chain(again).max_by(by_evidence);
     }

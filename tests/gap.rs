@@ -9,6 +9,7 @@ use cpcm::ballast::BallastParameters;
 use cpcm::gap::GapError;
 use cpcm::gap::base::{base, nominal_world};
 use cpcm::gap::diagnosis::{DiagnoseOptions, Diagnosis, PATH_PRIOR, diagnose};
+use cpcm::gap::effect::Stage;
 use cpcm::gap::effects::COMMON;
 use cpcm::gap::fit::{FitOptions, fit};
 use cpcm::gap::hammer::{Hammer, modelled};
@@ -336,6 +337,29 @@ fn property_missing_speeds_are_told() {
     let mut site = small("reference-1", 4);
     site.passages.iter_mut().for_each(|p| p.speed_m_s = None);
     assert!(says(&quick(&site).unwrap(), "no speeds"));
+}
+
+/// Ballast and path absorb a wrong clock, so that no gap is left: the operator's speeds tell it even where no clock error is in
+/// the catalogue.
+#[test]
+fn regress_a_wrong_clock_that_leaves_no_gap_is_told() {
+    let found = quick(&small("known-clock-error", 8)).unwrap();
+    assert!(says(&found, "clock is off by"), "{:?}", found.remarks);
+    assert_eq!((found.verdict, found.stage), (Verdict::Unexplained, Some(Stage::Timing)));
+    let found = quick(&small("reference-1", 8)).unwrap();
+    assert!(!says(&found, "clock is off by"), "{:?}", found.remarks);
+}
+
+/// Waves on some of the wheels raise scatter and floor alike, so that no gap is left where their effect is not in the catalogue.
+#[test]
+fn regress_wheels_that_differ_by_more_than_nature_are_told() {
+    let found = quick(&field("known-wheel-out-of-roundness")).unwrap();
+    assert!(says(&found, "wheels differ"), "{:?}", found.wheels);
+    assert_eq!((found.verdict, found.stage), (Verdict::Unexplained, Some(Stage::Vehicle)));
+    for name in ["reference-1", "reference-2", "reference-3"] {
+        let found = quick(&small(name, 8)).unwrap();
+        assert!(!says(&found, "wheels differ"), "{name}: {:?}", found.wheels);
+    }
 }
 
 #[test]

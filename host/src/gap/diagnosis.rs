@@ -18,6 +18,7 @@ use super::latent::{Latent, LatentFit};
 use super::measure::{Gap, Prediction};
 use super::node_stage::{NOTABLE, node_gap};
 use super::split::{Split, split};
+use super::variation::Variation;
 use super::verdict::Verdict;
 use crate::ballast::BallastParameters;
 use crate::progress::Progress;
@@ -87,6 +88,8 @@ pub struct Diagnosis {
     /// Share of the residuals of the base model that all passages have in common when they are laid over one another along
     /// the track, and in time; `None` at one speed only.
     pub collapse: Option<[f64; 2]>,
+    /// How wheels differ where no effect found accounts for it.
+    pub wheels: Variation,
     /// Residual of the held-out passages while stage after stage is substituted.
     pub ladder: Vec<Rung>,
     /// Error that the node's codes, arithmetic and decimation alone make, RMS relative to the signal.

@@ -58,6 +58,8 @@ pub struct LatentFit {
     pub gain: f64,
     /// Values with intervals: name, value, lower, upper.
     pub parameters: Vec<(&'static str, f64, f64, f64)>,
+    /// Share of the wheels that have it; none for an effect of the recordings.
+    pub wheel_share: Option<f64>,
     /// What it adds to every window: passage, bogie.
     pub windows: Vec<Vec<Vec<f64>>>,
     /// What it adds to the whole recording, on the time axis of the scene's traces.

@@ -72,12 +72,15 @@ pub fn diagnosis_json(d: &Diagnosis) -> Value {
         .map(|r| json!({"model": r.model, "acceleration": r.acceleration, "displacement": r.displacement}))
         .collect();
     let collapse = d.collapse.map(|[position, time]| json!({"position": position, "time": time}));
+    let w = &d.wheels;
+    let wheels = json!({"load": w.load, "side_load": w.side_load, "depth": w.depth, "shift_m": w.shift_m,
+                        "irregularity_m": w.own_m});
     let mut out = json!({
         "verdict": d.verdict,
         "gap": {"before": d.gap.before, "after": d.gap.after, "noise_floor": d.gap.noise_floor,
                 "closed_fraction": d.gap.closed_fraction, "closed_fraction_ci90": d.gap.closed_fraction_ci90},
         "where": {"stage": d.stage, "bands": bands, "position_m": d.position_m, "depends_on": d.depends_on,
-                  "node_gap": d.node_gap, "collapse": collapse, "ladder": ladder},
+                  "node_gap": d.node_gap, "collapse": collapse, "ladder": ladder, "wheels": wheels},
         "effects": effects,
         "ranking": ranking,
         "held_out_passages": d.predictions.iter().map(|p| p.passage_id).collect::<Vec<_>>(),

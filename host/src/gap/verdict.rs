@@ -20,7 +20,7 @@ pub enum Verdict {
 
 /// Part of the gap beyond the floor, in quadrature, relative to the floor, below which there is none. The reference
 /// recordings have 0.1 to 0.4.
-const NO_GAP: f64 = 0.6;
+pub const NO_GAP: f64 = 0.6;
 /// Closed fraction from which the gap counts as explained, and as partly explained.
 const EXPLAINED: f64 = 0.75;
 const PARTLY: f64 = 0.5;
@@ -30,8 +30,8 @@ pub fn excess(gap: f64, floor: f64) -> f64 {
     (gap * gap - floor * floor).max(0.0).sqrt() / floor.max(f64::MIN_POSITIVE)
 }
 
-/// The verdict on a gap with the effects found; `untenable`: the model agrees with the recordings only over a path that the
-/// scan rules out.
+/// The verdict on a gap with the effects found; `untenable`: however small the gap, the scan rules out the path of the model,
+/// the operator's speeds the recorder's clock, or wheels differ more than sound ones do.
 pub fn verdict(gap: &Gap, effects: &[Named], untenable: bool) -> Verdict {
     let left = excess(gap.after, gap.noise_floor);
     let closes = left < 0.5 * NO_GAP;

@@ -8,7 +8,7 @@ use super::plot::{Axis, BLUE, GREY, Layer, ORANGE, Plot, Point, range_of};
 use crate::gap::consequences::Change;
 use crate::gap::diagnosis::Diagnosis;
 use crate::gap::measure::Prediction;
-use crate::gap::verdict::Verdict;
+use crate::gap::verdict::{NO_GAP, Verdict, excess};
 
 /// The page as one HTML document.
 pub fn html(site: &str, d: &Diagnosis) -> Result<String, ReportError> {
@@ -17,6 +17,7 @@ pub fn html(site: &str, d: &Diagnosis) -> Result<String, ReportError> {
     body.push_str(&consequences(d));
     body.push_str(&remarks(d));
     body.push_str(&bands(d));
+    body.push_str(&wheels(d));
     body.push_str(&ladder(d));
     let mut figures = where_figures::all(d)?;
     if let Some(p) = d.predictions.first() {
@@ -42,6 +43,10 @@ pub fn sentence(d: &Diagnosis) -> String {
         Verdict::Explained => format!("Explained by {}.", names.join(" and ")),
         Verdict::PartlyExplained => {
             format!("Partly explained by {}; something else acts too.", names.join(" and "))
+        }
+        Verdict::Unexplained if excess(d.gap.after, d.gap.noise_floor) < NO_GAP => {
+            "The residual is small, but something acts that nothing in the catalogue explains: see the notes."
+                .into()
         }
         Verdict::Unexplained => "There is a gap that nothing in the catalogue explains.".into(),
     }
@@ -74,6 +79,16 @@ fn table(head: &[&str], rows: &[Vec<String>]) -> String {
     format!("<table>\n<tr>{head}</tr>\n{rows}</table>\n")
 }
 
+/// Three significant digits.
+fn significant(value: f64) -> String {
+    let magnitude = value.abs().log10().floor();
+    match (-3.0..6.0).contains(&magnitude) {
+        true => format!("{value:.*}", (2.0 - magnitude).max(0.0) as usize),
+        false if value == 0.0 => "0".into(),
+        false => format!("{value:.2e}"),
+    }
+}
+
 fn effects(d: &Diagnosis) -> String {
     if d.effects.is_empty() {
         return String::new();
@@ -85,7 +100,9 @@ fn effects(d: &Diagnosis) -> String {
             let parameters: Vec<String> = e
                 .parameters
                 .iter()
-                .map(|(n, v, l, u)| format!("{n} {v:.4} ({l:.4} \u{2026} {u:.4})"))
+                .map(|(n, v, l, u)| {
+                    format!("{n} {} ({} \u{2026} {})", significant(*v), significant(*l), significant(*u))
+                })
                 .collect();
             vec![
                 e.name.into(),
@@ -144,6 +161,20 @@ fn bands(d: &Diagnosis) -> String {
         })
         .collect();
     format!("<h2>Where</h2>\n{}", table(&["band", "range", "before", "after", "noise floor"], &rows))
+}
+
+/// How wheels differ.
+fn wheels(d: &Diagnosis) -> String {
+    let w = &d.wheels;
+    let percent = |v: f64| format!("{:.1} %", 100.0 * v);
+    let rows = [
+        vec!["load".into(), percent(w.load)],
+        vec!["load, crossing against stock rail".into(), percent(w.side_load)],
+        vec!["depth of the path over the crossing".into(), percent(w.depth)],
+        vec!["place where the crossing is met".into(), format!("{:.0} mm", 1e3 * w.shift_m)],
+        vec!["path of their own".into(), format!("{:.0} \u{b5}m", 1e6 * w.own_m)],
+    ];
+    format!("<h2>How wheels differ</h2>\n{}", table(&["in", "standard deviation"], &rows))
 }
 
 /// The substitution ladder.

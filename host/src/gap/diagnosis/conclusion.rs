@@ -49,12 +49,36 @@ impl Session<'_> {
                     .into(),
             );
         }
-        let verdict =
-            if self.untrusted { Verdict::Unexplained } else { verdict(&gap, &self.named, untenable) };
+        let clock = self.clock_unexplained();
+        if let Some((mean, sd)) = clock {
+            self.remarks.push(format!(
+                "by the operator's speeds the recorder's clock is off by {:.1} ± {:.1} %, which no effect found accounts for: check \
+                 its sampling rate, and the speeds",
+                100.0 * mean,
+                100.0 * sd
+            ));
+        }
+        let wheels = self.base.variation;
+        // Where the model is lost, scatter says nothing of wheels.
+        let unlike = self.named.is_empty() && wheels.unnatural() && !self.base.fit.lost();
+        if unlike {
+            self.remarks.push(format!(
+                "wheels differ from one another by {:.0} % in how deep they run and by {:.0} µm of their own, more than sound wheels \
+                 do: look for flats, out-of-round and hollow ones",
+                100.0 * wheels.depth,
+                1e6 * wheels.own_m
+            ));
+        }
+        let verdict = match self.untrusted {
+            true => Verdict::Unexplained,
+            false => verdict(&gap, &self.named, untenable || clock.is_some() || unlike),
+        };
         let corrected = if self.named.is_empty() { base_world } else { &after_world };
         let track = self.ask_hammer(base_world, corrected)?;
         let stage = match (self.foreign_scan, verdict, self.named.is_empty()) {
             (true, ..) => Some(Stage::Geometry),
+            (false, Verdict::Unexplained, true) if clock.is_some() => Some(Stage::Timing),
+            (false, Verdict::Unexplained, true) if unlike => Some(Stage::Vehicle),
             (false, Verdict::Unexplained, true) if track == Some(Agreement::Differs) => Some(Stage::Track),
             _ => crate::gap::verdict::stage(verdict, &self.named, &self.ranking),
         };
@@ -68,6 +92,7 @@ impl Session<'_> {
             depends_on,
             position_m,
             collapse: where_::collapse(&residuals),
+            wheels,
             ladder: ladder(&self.base.frame, &self.split.test, &held_out, has_scan, node_gap)?,
             node_gap,
             predictions: held_out,

@@ -4,12 +4,15 @@ use faer::Mat;
 
 use super::Session;
 use crate::gap::GapError;
-use crate::gap::effect::{Effect, Witness};
+use crate::gap::effect::{Effect, Stage, Witness};
 use crate::gap::fit::{Fit, OPERATOR_SD, operator_ratios, simulate, whitened};
 use crate::gap::forward::Response;
 
 /// A wrong clock must agree with the operator's speeds within this many standard deviations of their mean.
 const CLOCK_SPREAD: f64 = 4.0;
+/// And that mean must be this many standard deviations away from nought: the recordings alone take what other effects leave for
+/// half a percent of clock error.
+const CLOCK_SEEN: f64 = 3.0;
 /// Probability that temperatures shuffled among the passages would go with their scale as well, above which a gain does not
 /// follow the temperature: trains differ by chance.
 const MOST_CHANCE: f64 = 0.01;
@@ -24,9 +27,9 @@ impl Session<'_> {
         match effect.witness() {
             Witness::OperatorSpeeds => {
                 let relative = effect.parameters()[0].value(coordinates[0]);
-                let ratios = operator_ratios(&self.base.frame);
-                let sd = OPERATOR_SD / (ratios.len().max(1) as f64).sqrt();
-                ratios.is_empty() || (crate::signal::mean(&ratios) - relative).abs() < CLOCK_SPREAD * sd
+                self.clock_by_operator().is_none_or(|(mean, sd)| {
+                    (mean - relative).abs() < CLOCK_SPREAD * sd && mean.abs() > CLOCK_SEEN * sd
+                })
             }
             Witness::Temperatures => {
                 let train = &self.split.train;
@@ -39,6 +42,19 @@ impl Session<'_> {
             }
             Witness::None => true,
         }
+    }
+
+    /// Error of the recorder's clock by the operator's speeds, relative, with its standard deviation; `None` without speeds.
+    fn clock_by_operator(&self) -> Option<(f64, f64)> {
+        let ratios = operator_ratios(&self.base.frame);
+        let sd = OPERATOR_SD / (ratios.len() as f64).sqrt();
+        (!ratios.is_empty()).then(|| (crate::signal::mean(&ratios), sd))
+    }
+
+    /// The same where it is beyond chance and no clock error is named.
+    pub(super) fn clock_unexplained(&self) -> Option<(f64, f64)> {
+        let named = self.named.iter().any(|n| n.stage == Stage::Timing);
+        self.clock_by_operator().filter(|(mean, sd)| !named && mean.abs() > CLOCK_SPREAD * sd)
     }
 
     /// Factors by which the base model's mean windows fit passages best, given how wheels differ.

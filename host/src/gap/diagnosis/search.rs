@@ -458,7 +458,7 @@ impl Session<'_> {
 
 /// Whether a defect is on so many wheels that it stands in for something that all of them meet.
 fn everywhere(found: &LatentFit) -> bool {
-    found.parameters.iter().any(|(name, share, ..)| *name == "share" && *share > MOST_WHEELS)
+    found.wheel_share.is_some_and(|share| share > MOST_WHEELS)
 }
 
 /// What differs between wheels is no panel's doing, but changes their mean, which an effect of the panel can follow: its gain

@@ -63,6 +63,7 @@ impl Latent for BiasStep {
                 ("step_m_s2", step, step - half - STEP_ERROR * step, step + half + STEP_ERROR * step),
                 ("decay_s", decay_s, decay_s / 1.6, decay_s * 1.6),
             ],
+            wheel_share: None,
             windows: scene.cut(&traces),
             traces,
         })

@@ -94,6 +94,7 @@ impl Latent for HollowWheels {
         Some(LatentFit {
             gain,
             parameters: two.parameters(learnt.len()),
+            wheel_share: Some(two.share),
             traces: scene.spread(&windows),
             windows,
         })

@@ -116,6 +116,7 @@ impl Latent for Tonal {
                 ("frequency_hz", frequency, frequency - 0.05, frequency + 0.05),
                 ("amplitude_m_s2", amplitude, amplitude - 1.645 * sd, amplitude + 1.645 * sd),
             ],
+            wheel_share: None,
             windows: scene.cut(&traces),
             traces,
         })

@@ -107,6 +107,7 @@ impl Latent for WheelFlat {
                 ),
                 ("share", share, share * 0.7, (share * 1.3).min(1.0)),
             ],
+            wheel_share: Some(share),
             traces: scene.spread(&windows),
             windows,
         })

@@ -38,11 +38,10 @@ pub struct Variation {
 /// it would stand in for what single wheels do, and then also hide what small parts of the signal tell.
 const MOST_NOISE: f64 = 4.0;
 
-/// Wheels without a defect differ in depth by less than this, relative, and by a path of their own of less than this, metres:
-/// the reference recordings have up to 0.08 and 45 µm (where wheels lose contact), simulated sites without effect 0.06 and 13 µm;
-/// hollow wheels 0.27 and out-of-round ones 51 µm and more.
+/// Wheels without a defect differ in depth by less than this, relative: the reference recordings have up to 0.08, simulated sites
+/// without effect 0.06, hollow wheels 0.27 and more. A path of their own tells less: wheels that lose contact have 40 to 60 µm,
+/// out-of-round ones from 51 µm on.
 const MOST_NATURAL_DEPTH: f64 = 0.15;
-const MOST_NATURAL_OWN_M: f64 = 50e-6;
 
 /// Number of parts.
 const PARTS: usize = 7;
@@ -63,7 +62,7 @@ impl Variation {
 
     /// Whether wheels differ by more than wheels do by nature.
     pub fn unnatural(&self) -> bool {
-        self.depth > MOST_NATURAL_DEPTH || self.own_m > MOST_NATURAL_OWN_M
+        self.depth > MOST_NATURAL_DEPTH
     }
 
     fn values(&self) -> [f64; PARTS] {

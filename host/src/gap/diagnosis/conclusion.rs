@@ -63,10 +63,9 @@ impl Session<'_> {
         let unlike = self.named.is_empty() && wheels.unnatural() && !self.base.fit.lost();
         if unlike {
             self.remarks.push(format!(
-                "wheels differ from one another by {:.0} % in how deep they run and by {:.0} µm of their own, more than sound wheels \
-                 do: look for flats, out-of-round and hollow ones",
-                100.0 * wheels.depth,
-                1e6 * wheels.own_m
+                "wheels differ from one another by {:.0} % in how deep they run over the crossing, more than sound wheels do: look for \
+                 hollow and worn ones",
+                100.0 * wheels.depth
             ));
         }
         let verdict = match self.untrusted {

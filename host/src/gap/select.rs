@@ -60,7 +60,7 @@ pub fn round<'e>(
     let with =
         |e: usize| -> Vec<&'e dyn Effect> { accepted.iter().copied().chain([candidates[e]]).collect() };
     let fits = if let Some(afar) = from_afar {
-        fits_from_afar(frame, afar, &order, &with, (hints, accepted.is_empty()), subset)
+        fits_from_afar(frame, afar, &order, &with, hints, subset)
     } else {
         let largest = order.first().map_or(0.0, |o| o.1);
         let most = if accepted.is_empty() { FITTED.0 } else { FITTED.1 };
@@ -83,13 +83,13 @@ pub fn round<'e>(
 }
 
 /// Fits in the order of `order`: every candidate is scouted from all its starts, and the most promising are fitted; the best of
-/// the first effects from all its starts once more where it is lost.
+/// them, where it is lost, from all its starts.
 fn fits_from_afar<'e>(
     frame: &Frame,
     state: &State,
     order: &[(usize, f64, usize)],
     with: &(dyn Fn(usize) -> Vec<&'e dyn Effect> + Sync),
-    (hints, first): (&Hints, bool),
+    hints: &Hints,
     subset: &[usize],
 ) -> Vec<Option<Fit>> {
     let scouted: Vec<Option<Fit>> = order
@@ -118,15 +118,15 @@ fn fits_from_afar<'e>(
     // Where even the best is lost, the few passages may have chosen the wrong one of its starts.
     let evidence = |k: &usize| fits[*k].as_ref().map_or(f64::NEG_INFINITY, |f| f.log_evidence);
     let best = (0..fits.len()).max_by(|a, b| evidence(a).total_cmp(&evidence(b)));
-    if let Some(k) = best.filter(|k| first && fits[*k].as_ref().is_some_and(Fit::lost)) {
+    if let Some(k) = best.filter(|k| fits[*k].as_ref().is_some_and(Fit::lost)) {
         let again = from_every_start(frame, state, &with(order[k].0), hints, subset);
         fits[k] = fits[k].take().into_iter().chain(again).max_by(by_evidence);
     }
     fits
 }
 
-/// Thorough fit that continues the best of shorter ones from all starts of the last effect of `list`, where that does not
-/// begin smoothly: its starts lie in different valleys.
+/// Thorough fit that continues the best of shorter ones from all starts of the only effect of `list`, where that does not
+/// begin smoothly: its starts lie in different valleys. What is lost beside another effect is rarely worth the time.
 fn from_every_start(
     frame: &Frame,
     state: &State,
@@ -134,7 +134,10 @@ fn from_every_start(
     hints: &Hints,
     subset: &[usize],
 ) -> Option<Fit> {
-    let effect = list.last().filter(|e| e.nought().is_none())?;
+    let [effect] = list else { return None };
+    if effect.nought().is_some() {
+        return None;
+    }
     let starts = effect.far_starts(hints);
     let best = deepest(frame, list, std::slice::from_ref(state), &starts, subset, VALLEY)?;
     fit(frame, list, best.state, subset, FitOptions::THOROUGH).ok()

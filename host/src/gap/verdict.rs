@@ -19,24 +19,28 @@ pub enum Verdict {
 }
 
 /// Part of the gap beyond the floor, in quadrature, relative to the floor, below which there is none. The reference
-/// recordings have 0.1 to 0.4.
-pub const NO_GAP: f64 = 0.6;
+/// recordings have up to 0.2.
+const NO_GAP: f64 = 0.6;
 /// Closed fraction from which the gap counts as explained, and as partly explained.
 const EXPLAINED: f64 = 0.75;
 const PARTLY: f64 = 0.5;
 
 /// How far a gap is above its floor, in quadrature.
-pub fn excess(gap: f64, floor: f64) -> f64 {
+fn excess(gap: f64, floor: f64) -> f64 {
     (gap * gap - floor * floor).max(0.0).sqrt() / floor.max(f64::MIN_POSITIVE)
+}
+
+/// Whether what is left is as good as nothing.
+pub fn closed(gap: &Gap) -> bool {
+    excess(gap.after, gap.noise_floor) < NO_GAP
 }
 
 /// The verdict on a gap with the effects found; `untenable`: however small the gap, the scan rules out the path of the model,
 /// the operator's speeds the recorder's clock, or wheels differ more than sound ones do.
 pub fn verdict(gap: &Gap, effects: &[Named], untenable: bool) -> Verdict {
-    let left = excess(gap.after, gap.noise_floor);
-    let closes = left < 0.5 * NO_GAP;
+    let closes = excess(gap.after, gap.noise_floor) < 0.5 * NO_GAP;
     match effects.is_empty() {
-        true if left < NO_GAP && !untenable => Verdict::NoGap,
+        true if closed(gap) && !untenable => Verdict::NoGap,
         true => Verdict::Unexplained,
         false if !untenable && (gap.closed_fraction >= EXPLAINED || closes) => Verdict::Explained,
         false if gap.closed_fraction >= PARTLY || closes => Verdict::PartlyExplained,

@@ -8,7 +8,7 @@ use super::plot::{Axis, BLUE, GREY, Layer, ORANGE, Plot, Point, range_of};
 use crate::gap::consequences::Change;
 use crate::gap::diagnosis::Diagnosis;
 use crate::gap::measure::Prediction;
-use crate::gap::verdict::{NO_GAP, Verdict, excess};
+use crate::gap::verdict::{Verdict, closed};
 
 /// The page as one HTML document.
 pub fn html(site: &str, d: &Diagnosis) -> Result<String, ReportError> {
@@ -44,7 +44,7 @@ pub fn sentence(d: &Diagnosis) -> String {
         Verdict::PartlyExplained => {
             format!("Partly explained by {}; something else acts too.", names.join(" and "))
         }
-        Verdict::Unexplained if excess(d.gap.after, d.gap.noise_floor) < NO_GAP => {
+        Verdict::Unexplained if closed(&d.gap) => {
             "The residual is small, but something acts that nothing in the catalogue explains: see the notes."
                 .into()
         }

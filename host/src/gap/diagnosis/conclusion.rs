@@ -41,46 +41,22 @@ impl Session<'_> {
             let named = self.named.iter().any(|n| n.name == r.name);
             r.gap_after = if named { gap.after } else { gap.before };
         }
-        let untenable = after_state.untenable(frame);
-        if untenable {
-            self.remarks.push(
-                "model and recordings agree only over a path that departs from the laser scan more than scans do: scan again, or \
-                 something acts that is not in the catalogue"
-                    .into(),
-            );
-        }
-        let clock = self.clock_unexplained();
-        if let Some((mean, sd)) = clock {
-            self.remarks.push(format!(
-                "by the operator's speeds the recorder's clock is off by {:.1} ± {:.1} %, which no effect found accounts for: check \
-                 its sampling rate, and the speeds",
-                100.0 * mean,
-                100.0 * sd
-            ));
-        }
-        let wheels = self.base.variation;
-        // Where the model is lost, scatter says nothing of wheels.
-        let unlike = self.named.is_empty() && wheels.unnatural() && !self.base.fit.lost();
-        if unlike {
-            self.remarks.push(format!(
-                "wheels differ from one another by {:.0} % in how deep they run over the crossing, more than sound wheels do: look for \
-                 hollow and worn ones",
-                100.0 * wheels.depth
-            ));
-        }
+        let denials = self.denials(&after_state);
+        self.remarks.extend(denials.iter().map(|d| d.remark.clone()));
         let verdict = match self.untrusted {
             true => Verdict::Unexplained,
-            false => verdict(&gap, &self.named, untenable || clock.is_some() || unlike),
+            false => verdict(&gap, &self.named, !denials.is_empty()),
         };
         let corrected = if self.named.is_empty() { base_world } else { &after_world };
         let track = self.ask_hammer(base_world, corrected)?;
-        let stage = match (self.foreign_scan, verdict, self.named.is_empty()) {
-            (true, ..) => Some(Stage::Geometry),
-            (false, Verdict::Unexplained, true) if clock.is_some() => Some(Stage::Timing),
-            (false, Verdict::Unexplained, true) if unlike => Some(Stage::Vehicle),
-            (false, Verdict::Unexplained, true) if track == Some(Agreement::Differs) => Some(Stage::Track),
-            _ => crate::gap::verdict::stage(verdict, &self.named, &self.ranking),
-        };
+        let denied = denials
+            .iter()
+            .find_map(|d| d.stage)
+            .or((track == Some(Agreement::Differs)).then_some(Stage::Track))
+            .filter(|_| verdict == Verdict::Unexplained && self.named.is_empty());
+        let foreign = self.foreign_scan.then_some(Stage::Geometry);
+        let stage =
+            foreign.or(denied).or_else(|| crate::gap::verdict::stage(verdict, &self.named, &self.ranking));
         progress.step();
         Ok(Diagnosis {
             verdict,
@@ -91,7 +67,7 @@ impl Session<'_> {
             depends_on,
             position_m,
             collapse: where_::collapse(&residuals),
-            wheels,
+            wheels: self.base.variation,
             ladder: ladder(&self.base.frame, &self.split.test, &held_out, has_scan, node_gap)?,
             node_gap,
             predictions: held_out,

@@ -1,11 +1,12 @@
-//! Whether an effect that fits well can be one: its size, its range, and what was recorded beside the acceleration.
+//! Whether an effect that fits well can be one, and a model that fits well the right one: sizes, ranges, and what is known beside
+//! the residual.
 
 use faer::Mat;
 
 use super::Session;
 use crate::gap::GapError;
 use crate::gap::effect::{Effect, Stage, Witness};
-use crate::gap::fit::{Fit, OPERATOR_SD, operator_ratios, simulate, whitened};
+use crate::gap::fit::{Fit, OPERATOR_SD, State, operator_ratios, simulate, whitened};
 use crate::gap::forward::Response;
 
 /// A wrong clock must agree with the operator's speeds within this many standard deviations of their mean.
@@ -17,6 +18,14 @@ const CLOCK_SEEN: f64 = 3.0;
 /// follow the temperature: trains differ by chance.
 const MOST_CHANCE: f64 = 0.01;
 const SHUFFLES: usize = 999;
+
+/// What speaks against a model from outside its residual.
+pub(super) struct Denial {
+    /// Where it points, if anywhere.
+    pub stage: Option<Stage>,
+    /// What to do about it.
+    pub remark: String,
+}
 
 impl Session<'_> {
     /// Whether what was recorded beside the acceleration bears an effect out: the operator's speeds a wrong clock, the
@@ -44,17 +53,52 @@ impl Session<'_> {
         }
     }
 
+    /// What denies the model in a state, however small the gap.
+    pub(super) fn denials(&self, state: &State) -> Vec<Denial> {
+        let path = state.untenable(&self.base.frame).then(|| Denial {
+            stage: None,
+            remark: "model and recordings agree only over a path that departs from the laser scan more than scans do: scan again, or \
+                     something acts that is not in the catalogue"
+                .into(),
+        });
+        [path, self.clock_denial(), self.wheels_denial()].into_iter().flatten().collect()
+    }
+
+    /// The operator's speeds show a wrong clock beyond chance, and no clock error is named.
+    fn clock_denial(&self) -> Option<Denial> {
+        let named = self.named.iter().any(|n| n.stage == Stage::Timing);
+        let (mean, sd) =
+            self.clock_by_operator().filter(|(mean, sd)| !named && mean.abs() > CLOCK_SPREAD * sd)?;
+        Some(Denial {
+            stage: Some(Stage::Timing),
+            remark: format!(
+                "by the operator's speeds the recorder's clock is off by {:.1} ± {:.1} %, which no effect found accounts for: check \
+                 its sampling rate, and the speeds",
+                100.0 * mean,
+                100.0 * sd
+            ),
+        })
+    }
+
+    /// Wheels differ more than sound ones do, and nothing is named; where the model is lost, scatter says nothing of wheels.
+    fn wheels_denial(&self) -> Option<Denial> {
+        let wheels = &self.base.variation;
+        let unlike = self.named.is_empty() && wheels.unnatural() && !self.base.fit.lost();
+        unlike.then(|| Denial {
+            stage: Some(Stage::Vehicle),
+            remark: format!(
+                "wheels differ from one another by {:.0} % in how deep they run over the crossing, more than sound wheels do: look for \
+                 hollow and worn ones",
+                100.0 * wheels.depth
+            ),
+        })
+    }
+
     /// Error of the recorder's clock by the operator's speeds, relative, with its standard deviation; `None` without speeds.
     fn clock_by_operator(&self) -> Option<(f64, f64)> {
         let ratios = operator_ratios(&self.base.frame);
         let sd = OPERATOR_SD / (ratios.len() as f64).sqrt();
         (!ratios.is_empty()).then(|| (crate::signal::mean(&ratios), sd))
-    }
-
-    /// The same where it is beyond chance and no clock error is named.
-    pub(super) fn clock_unexplained(&self) -> Option<(f64, f64)> {
-        let named = self.named.iter().any(|n| n.stage == Stage::Timing);
-        self.clock_by_operator().filter(|(mean, sd)| !named && mean.abs() > CLOCK_SPREAD * sd)
     }
 
     /// Factors by which the base model's mean windows fit passages best, given how wheels differ.

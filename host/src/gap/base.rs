@@ -194,14 +194,14 @@ pub fn path_root(site: &Site, grids: &PathSplines, prior: &PathPrior) -> Result<
 /// Relative error of the forward model that all wheels share, as a part of the mean window's RMS.
 const DISCREPANCY: f64 = 0.01;
 
-/// Fits the base model to the passages of `subset`; the first, rough fits use `search` only. With `range_m_s2` the
-/// transducer is known to clip there.
+/// Fits the base model to the passages of `subset`; the first, rough fits use `search` only. `sensor` is what is
+/// known of the recorder.
 pub fn base(
     site: &Site,
     subset: &[usize],
     search: &[usize],
     prior: &PathPrior,
-    range_m_s2: Option<f64>,
+    sensor: SensorModel,
 ) -> Result<Base, GapError> {
     let mut observed = observe(site)?;
     let crossing = &site.crossing;
@@ -215,13 +215,13 @@ pub fn base(
         .map(|i| (&observed[*i].recording, observed[*i].speed_m_s, force(&observed[*i])))
         .collect();
     let quasi_static = QuasiStatic::new(&track, direction, &pattern, &inputs).fit(BallastParameters::NOMINAL);
-    let start = match range_m_s2 {
+    let start = match sensor.range_m_s2 {
         // A clipped record has steps in its velocity, which the quasi-static fit takes for deflection.
         Some(_) => BallastParameters::NOMINAL,
         None => quasi_static.start_of_evidence(),
     };
     let mut world = nominal_world(site, start)?;
-    world.sensor.range_m_s2 = range_m_s2;
+    world.sensor = sensor;
     align(&world, &mut observed, window)?;
     observed.par_iter_mut().for_each(|o| o.line_up(window));
     let grids = world.path.deviation.clone();

@@ -2,6 +2,7 @@
 
 mod conclusion;
 mod plausible;
+mod recorder;
 mod search;
 mod trust;
 
@@ -20,9 +21,11 @@ use super::node_stage::{NOTABLE, node_gap};
 use super::split::{Split, split};
 use super::variation::Variation;
 use super::verdict::Verdict;
+use super::world::SensorModel;
 use crate::ballast::BallastParameters;
 use crate::progress::Progress;
 use crate::recording::Site;
+use recorder::Recorder;
 
 /// Choices of a diagnosis.
 #[derive(Clone, Debug, Default)]
@@ -162,26 +165,27 @@ pub fn diagnose(
     progress.begin("base model", 1);
     let split = split(site);
     let search = thinned(&split.train, SEARCH_PASSAGES);
-    let mut base = base(site, &split.train, &search, &PATH_PRIOR, None)?;
+    let mut base = base(site, &split.train, &search, &PATH_PRIOR, SensorModel::default())?;
     progress.step();
     let before = base.fit.state.world(&base.frame, &[]);
-    // Flat tops are seen without any model, and nothing else can be learnt before they are in it.
-    let clips = super::effects::saturation::flat_top_m_s2(site)
-        .filter(|_| !options.quick && !options.exclude.iter().any(|e| e == "saturation"));
-    if clips.is_some() {
-        base = super::base::base(site, &split.train, &search, &PATH_PRIOR, clips)?;
+    let recorder = match options.quick {
+        true => Recorder::default(),
+        false => Recorder::of(site, &base.frame, &options.exclude),
+    };
+    // Nothing else can be learnt before what is known of the recorder is in the model.
+    let sensor = recorder.sensor();
+    if sensor != SensorModel::default() {
+        base = super::base::base(site, &split.train, &search, &PATH_PRIOR, sensor)?;
     }
     let mut session = Session::new(site, options, &split, &search, &mut base);
+    session.take(&recorder);
     let mut searched = !options.quick;
-    if let Some(range_m_s2) = clips {
-        session.saturated(range_m_s2);
-        // What clipping has destroyed cannot be searched.
-        if session.base.fit.inflation() > CLIPPED_MISFIT {
-            session.remarks.push(
-                "the recordings clip so much that nothing else can be told from them; use a sensor with a larger range".into(),
-            );
-            searched = false;
-        }
+    // What clipping has destroyed cannot be searched.
+    if sensor.range_m_s2.is_some() && session.base.fit.inflation() > CLIPPED_MISFIT {
+        session.remarks.push(
+            "the recordings clip so much that nothing else can be told from them; use a sensor with a larger range".into(),
+        );
+        searched = false;
     }
     searched &= session.trustworthy(site, &before);
     if searched {
@@ -262,27 +266,6 @@ impl<'a> Session<'a> {
         };
         session.remark_on(site);
         session
-    }
-
-    /// The transducer clips; this is known before any search.
-    fn saturated(&mut self, range_m_s2: f64) {
-        let parameters = vec![("range_m_s2", range_m_s2, 0.97 * range_m_s2, 1.03 * range_m_s2)];
-        let (name, stage) = ("saturation", Stage::Sensor);
-        self.named.push(Named {
-            name,
-            stage,
-            probability: MOST_SURE,
-            parameters,
-            indistinguishable_from: Vec::new(),
-            gained: f64::NAN,
-        });
-        self.ranking.push(Ranked {
-            name,
-            stage,
-            probability: MOST_SURE,
-            gain: f64::INFINITY,
-            gap_after: f64::NAN,
-        });
     }
 
     fn state(&self) -> State {

@@ -78,7 +78,7 @@ pub enum ActsOn {
 pub enum Witness {
     /// Nothing.
     None,
-    /// Speeds stated by the operator see the first parameter: a relative error of the clock.
+    /// Speeds stated by the operator; where there are any, they alone tell.
     OperatorSpeeds,
     /// Temperatures go with the size of the signal.
     Temperatures,

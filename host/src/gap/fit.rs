@@ -9,7 +9,6 @@ mod priors;
 mod screening;
 mod settled;
 
-pub use priors::{OPERATOR_SD, operator_ratios};
 pub use screening::{Direction, Screening, screen};
 pub use settled::settled;
 

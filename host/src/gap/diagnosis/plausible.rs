@@ -4,16 +4,12 @@
 use faer::Mat;
 
 use super::Session;
+use super::recorder::{clock_by_operator, shows};
 use crate::gap::GapError;
 use crate::gap::effect::{Effect, Stage, Witness};
-use crate::gap::fit::{Fit, OPERATOR_SD, State, operator_ratios, simulate, whitened};
+use crate::gap::fit::{Fit, State, simulate, whitened};
 use crate::gap::forward::Response;
 
-/// A wrong clock must agree with the operator's speeds within this many standard deviations of their mean.
-const CLOCK_SPREAD: f64 = 4.0;
-/// And that mean must be this many standard deviations away from nought: the recordings alone take what other effects leave for
-/// half a percent of clock error.
-const CLOCK_SEEN: f64 = 3.0;
 /// Probability that temperatures shuffled among the passages would go with their scale as well, above which a gain does not
 /// follow the temperature: trains differ by chance.
 const MOST_CHANCE: f64 = 0.01;
@@ -28,29 +24,18 @@ pub(super) struct Denial {
 }
 
 impl Session<'_> {
-    /// Whether what was recorded beside the acceleration bears an effect out: the operator's speeds a wrong clock, the
-    /// temperatures a gain that follows them.
-    pub(super) fn borne_out(&self, effect: &dyn Effect, found: &Fit) -> bool {
+    /// Whether what was recorded beside the acceleration bears an effect out: the temperatures a gain that follows them.
+    pub(super) fn borne_out(&self, effect: &dyn Effect) -> bool {
         let observed = &self.base.frame.observed;
-        let Some(coordinates) = found.state.effects.last() else { return true };
-        match effect.witness() {
-            Witness::OperatorSpeeds => {
-                let relative = effect.parameters()[0].value(coordinates[0]);
-                self.clock_by_operator().is_none_or(|(mean, sd)| {
-                    (mean - relative).abs() < CLOCK_SPREAD * sd && mean.abs() > CLOCK_SEEN * sd
-                })
-            }
-            Witness::Temperatures => {
-                let train = &self.split.train;
-                let of =
-                    |value: &dyn Fn(usize) -> f64| -> Vec<f64> { train.iter().map(|i| value(*i)).collect() };
-                let Ok(scales) = self.scales(train) else { return false };
-                let temperatures = of(&|i| observed[i].temperature_c);
-                let speeds = of(&|i| observed[i].speed_m_s);
-                chance(&scales, &temperatures, &speeds) < MOST_CHANCE
-            }
-            Witness::None => true,
+        if effect.witness() != Witness::Temperatures {
+            return true;
         }
+        let train = &self.split.train;
+        let of = |value: &dyn Fn(usize) -> f64| -> Vec<f64> { train.iter().map(|i| value(*i)).collect() };
+        let Ok(scales) = self.scales(train) else { return false };
+        let temperatures = of(&|i| observed[i].temperature_c);
+        let speeds = of(&|i| observed[i].speed_m_s);
+        chance(&scales, &temperatures, &speeds) < MOST_CHANCE
     }
 
     /// What denies the model in a state, however small the gap.
@@ -67,8 +52,7 @@ impl Session<'_> {
     /// The operator's speeds show a wrong clock beyond chance, and no clock error is named.
     fn clock_denial(&self) -> Option<Denial> {
         let named = self.named.iter().any(|n| n.stage == Stage::Timing);
-        let (mean, sd) =
-            self.clock_by_operator().filter(|(mean, sd)| !named && mean.abs() > CLOCK_SPREAD * sd)?;
+        let (mean, sd) = clock_by_operator(&self.base.frame).filter(|c| shows(c) && !named)?;
         Some(Denial {
             stage: Some(Stage::Timing),
             remark: format!(
@@ -92,13 +76,6 @@ impl Session<'_> {
                 100.0 * wheels.depth
             ),
         })
-    }
-
-    /// Error of the recorder's clock by the operator's speeds, relative, with its standard deviation; `None` without speeds.
-    fn clock_by_operator(&self) -> Option<(f64, f64)> {
-        let ratios = operator_ratios(&self.base.frame);
-        let sd = OPERATOR_SD / (ratios.len() as f64).sqrt();
-        (!ratios.is_empty()).then(|| (crate::signal::mean(&ratios), sd))
     }
 
     /// Factors by which the base model's mean windows fit passages best, given how wheels differ.

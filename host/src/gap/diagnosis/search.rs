@@ -38,7 +38,7 @@ const SAME_GAIN: f64 = 4.0;
 /// Wheelsets of a train meet the same rail: their deviations are not as independent as the covariance says.
 const LATENT_INFLATION: f64 = 2.0;
 /// Evidence counts this much less than it says when it becomes a probability (calibrated on simulated trials).
-const PROBABILITY_SCALE: f64 = 4.0;
+pub(super) const PROBABILITY_SCALE: f64 = 4.0;
 
 /// Gain in log posterior per independent look, nats, with which an effect counts although it takes nothing off the residual,
 /// because the path had taken it over: the first one named, and further ones. Reference recordings reach 180.
@@ -159,7 +159,7 @@ impl Session<'_> {
     fn worth_naming(&self, c: &Candidate, number: usize, misfit: f64) -> bool {
         // A model as good as the scatter of the wheels has nothing to explain, unless the gain comes from elsewhere.
         let excess = self.scatter.0.max(0.0).sqrt();
-        let room = excess > LEAST_EXCESS || c.stage == Stage::Timing || c.relief > asked(RELIEVED, number);
+        let room = excess > LEAST_EXCESS || c.relief > asked(RELIEVED, number);
         // What the first effect's description leaves must not be taken for a second one.
         let least_gain = asked((LEAST_GAIN, FURTHER * LEAST_GAIN), number);
         c.full && room && c.gain > least_gain && 2.0 * c.misfit_gain > LEAST_SHARE * misfit
@@ -185,7 +185,7 @@ impl Session<'_> {
                     f.log_evidence - reference.log_evidence,
                     inside_ranges(t.effect, f)
                         && large_enough(t.effect, f, inflation)
-                        && self.borne_out(t.effect, f)
+                        && self.borne_out(t.effect)
                         // What the hammer denies as firmly as an effect must show itself is not there.
                         && heard > -LEAST_GAIN,
                 ),
@@ -354,9 +354,8 @@ impl Session<'_> {
         // The displacement has no floor of its own; half of what it gains counts.
         last.gained = part(earlier.squares[0], acceleration, own)
             .max(0.5 * part(earlier.squares[1], displacement, displacement));
-        // The operator's speeds speak for a wrong clock, not the residual; effects of single wheels have their own rule.
+        // Effects of single wheels have their own rule.
         if last.gained >= asked(LEAST_GAINED, earlier.named)
-            || last.stage == Stage::Timing
             || self.accepted.len() == earlier.accepted
             || relief > asked(RELIEVED, earlier.named)
         {

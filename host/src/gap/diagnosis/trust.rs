@@ -123,7 +123,8 @@ impl Session<'_> {
         }
         let mut bare = site.clone();
         bare.scan = None;
-        let Ok(free) = base(&bare, self.search, self.search, &PATH_PRIOR, None) else { return false };
+        let sensor = self.base.frame.base.sensor;
+        let Ok(free) = base(&bare, self.search, self.search, &PATH_PRIOR, sensor) else { return false };
         let world = free.fit.state.world(&free.frame, &[]);
         let (mut off, mut own) = (0.0, 0.0);
         for k in -40..=40 {

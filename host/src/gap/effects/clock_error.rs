@@ -1,7 +1,8 @@
 //! A recorder clock that is fast or slow by a constant part.
 //!
 //! Everything in time is stretched: the speed comes out wrong by as much, so positions stay right, but frequencies of track
-//! and wheel do not. The operator's speeds (1 % each, unbiased) see it too. Range: a broken crystal or a wrong divider.
+//! and wheel do not. Where the operator states speeds (1 % each, unbiased), they alone tell it (`diagnosis/recorder.rs`): ballast
+//! and path take over most of what it does to the recordings. Range: a broken crystal or a wrong divider.
 
 use crate::gap::effect::{Effect, Hints, Parameter, Scale, Stage, Witness};
 use crate::gap::world::World;

@@ -1,4 +1,4 @@
-//! What is assumed of a fit's unknowns before the recordings, and what the operator's speeds say of the clock.
+//! What is assumed of a fit's unknowns before the recordings.
 
 use faer::Mat;
 
@@ -10,8 +10,6 @@ use crate::track::Side;
 pub(super) const BALLAST_PRIOR: [(f64, f64); 3] = [(17.2, 1.0), (17.2, 1.0), (0.4, 0.1)];
 /// Common and own position errors, metres.
 pub(super) const SHIFT_SD_M: (f64, f64) = (0.05, 0.02);
-/// Operator's speeds are within 1 % (uniform).
-pub const OPERATOR_SD: f64 = 0.0058;
 
 /// Squares of the path's deviation per knot in units of its prior, crossing and stock side: about 1 or less when the path is
 /// what the prior says.
@@ -45,24 +43,7 @@ pub(super) fn prior_cost(frame: &Frame, effects: &[&dyn Effect], state: &State, 
         .flat_map(|(e, c)| e.parameters().iter().zip(c))
         .map(|(p, c)| square(*c, p.prior))
         .sum();
-    path + ballast + shift + parameters + clock_cost(frame, state.world(frame, effects).sensor.clock_error)
-}
-
-/// The operator's speeds see the recorder's clock from outside.
-fn clock_cost(frame: &Frame, clock_error: f64) -> f64 {
-    operator_ratios(frame).iter().map(|r| 0.5 * ((r - clock_error) / OPERATOR_SD).powi(2)).sum()
-}
-
-/// Operator's speeds relative to those by the recorder's clock, less 1: what its error should be.
-pub fn operator_ratios(frame: &Frame) -> Vec<f64> {
-    frame.observed.iter().filter_map(|o| o.operator_m_s.map(|v| v / o.speed_m_s - 1.0)).collect()
-}
-
-/// Information and value that the operator's speeds add to a coordinate by which the clock error changes with `slope` from
-/// where it is.
-pub(super) fn clock_information(ratios: &[f64], here: f64, slope: f64) -> (f64, f64) {
-    let sum: f64 = ratios.iter().map(|r| r - here).sum();
-    (ratios.len() as f64 * (slope / OPERATOR_SD).powi(2), sum * slope / OPERATOR_SD.powi(2))
+    path + ballast + shift + parameters
 }
 
 pub(super) fn common_shift(state: &State, subset: &[usize]) -> f64 {
@@ -103,32 +84,6 @@ pub(super) fn add_prior(
     for (e, effect) in effects.iter().enumerate() {
         for (k, p) in effect.parameters().iter().enumerate() {
             add(at, state.effects[e][k], p.prior);
-            at += 1;
-        }
-    }
-    clock_prior(frame, effects, state, m + 4, information, vector);
-}
-
-/// The operator's speeds are one more measurement of whatever changes the clock.
-fn clock_prior(
-    frame: &Frame,
-    effects: &[&dyn Effect],
-    state: &State,
-    first: usize,
-    information: &mut Mat<f64>,
-    vector: &mut Mat<f64>,
-) {
-    let here = state.world(frame, effects).sensor.clock_error;
-    let ratios = operator_ratios(frame);
-    let mut at = first;
-    for (e, effect) in effects.iter().enumerate() {
-        for (k, p) in effect.parameters().iter().enumerate() {
-            let mut moved = state.clone();
-            moved.effects[e][k] += p.step;
-            let slope = (moved.world(frame, effects).sensor.clock_error - here) / p.step;
-            let (h, b) = clock_information(&ratios, here, slope);
-            information[(at, at)] += h;
-            vector[(at, 0)] += b;
             at += 1;
         }
     }

@@ -4,7 +4,6 @@ use faer::Mat;
 use faer::linalg::solvers::Solve as _;
 use rayon::prelude::*;
 
-use super::priors::{clock_information, operator_ratios};
 use super::{
     Evaluation, Frame, Linearised, Shape, State, derivatives, mean_windows, simulate, solve, values, whiten,
 };
@@ -95,18 +94,7 @@ pub fn screen(
         })
         .collect();
     let linear = whiten(frame, subset, &both, &here.residuals);
-    let (mut information, mut vector) = reduced(frame, accepted, state, subset, &linear, columns.len())?;
-    // The operator's speeds see a clock from outside.
-    let clock = state.world(frame, accepted).sensor.clock_error;
-    let ratios = operator_ratios(frame);
-    for (i, (d, (coordinates, step))) in directions.iter().zip(&variants).enumerate() {
-        let mut world = state.world(frame, accepted);
-        candidates[d.effect].apply(&mut world, &values(candidates[d.effect], coordinates));
-        let slope = (world.sensor.clock_error - clock) / step;
-        let (h, b) = clock_information(&ratios, clock, slope);
-        information[(i, i)] += h;
-        vector[(i, 0)] += b;
-    }
+    let (information, vector) = reduced(frame, accepted, state, subset, &linear, columns.len())?;
     Ok(Screening { directions, information, vector, prior_sd })
 }
 

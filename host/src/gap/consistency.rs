@@ -42,8 +42,19 @@ impl Strangers {
     }
 }
 
-/// Mean window along the travel of the front axle.
+/// What the wheels do to the sleeper is shorter than this, metres of travel; slow shifts of the baseline are the recorder's.
+const SLOW_M: f64 = 1.2;
+
+/// Mean window along the travel of the front axle, less what is slow in it.
 fn curve(o: &Observed) -> Vec<f64> {
+    let all = window_along(o);
+    let half = (0.5 * SLOW_M / TRAVEL_M.2) as usize;
+    (0..all.len())
+        .map(|i| all[i] - crate::signal::mean(&all[i.saturating_sub(half)..(i + half + 1).min(all.len())]))
+        .collect()
+}
+
+fn window_along(o: &Observed) -> Vec<f64> {
     let count = ((TRAVEL_M.1 - TRAVEL_M.0) / TRAVEL_M.2) as usize;
     (0..count)
         .map(|i| {

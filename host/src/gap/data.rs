@@ -134,6 +134,13 @@ impl Observed {
         self.mean = mean_of(&self.windows);
     }
 
+    /// Puts contributions taken off by [`Self::remove`] back.
+    pub fn restore(&mut self, contributions: &[Vec<f64>]) {
+        let negative: Vec<Vec<f64>> =
+            contributions.iter().map(|part| part.iter().map(|p| -p).collect()).collect();
+        self.remove(&negative);
+    }
+
     /// Windows of the bogies less the whole train's prediction.
     pub fn window_residuals(&self, response: &Response, gain: f64, late_s: f64) -> Vec<Vec<f64>> {
         let bogies = self.bogie_s();

@@ -3,6 +3,7 @@
 mod conclusion;
 mod plausible;
 mod recorder;
+mod review;
 mod search;
 mod trust;
 

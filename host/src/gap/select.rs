@@ -21,7 +21,8 @@ pub struct Tried<'e> {
 const FITTED: (usize, usize) = (5, 2);
 /// The same where all have been scouted.
 const FITTED_FROM_AFAR: usize = 3;
-/// Log evidence, of the few passages that are scouted, by which a candidate is beyond doubt worse than the best.
+/// Log evidence per independent look, of the few passages that are scouted, by which a candidate is beyond doubt worse than the
+/// best.
 const BEYOND_DOUBT: f64 = 150.0;
 /// Least expected gain for a fit; an effect that is worth naming gains several times as much.
 const LEAST_GAIN: f64 = 4.0;
@@ -105,7 +106,9 @@ fn fits_from_afar<'e>(
     best.sort_by(|a, b| evidence(b).total_cmp(&evidence(a)));
     best.truncate(FITTED_FROM_AFAR);
     let highest = best.first().map_or(0.0, evidence);
-    best.retain(|k| evidence(k) > highest - BEYOND_DOUBT);
+    // Where even the best misses by far, differences say as much less.
+    let doubt = best.first().and_then(|k| scouted[*k].as_ref()).map_or(1.0, Fit::inflation);
+    best.retain(|k| evidence(k) > highest - BEYOND_DOUBT * doubt);
     let mut fits: Vec<Option<Fit>> = scouted
         .par_iter()
         .zip(order)

@@ -65,6 +65,12 @@ impl Variation {
         self.depth > MOST_NATURAL_DEPTH
     }
 
+    /// Whether loads and depths would have to differ by more than they ever do: what wheels do then is not linear in either, and the
+    /// response of their mean is not the mean of their responses.
+    pub fn beyond_linear(&self) -> bool {
+        self.load >= Self::RANGE[1][1] && self.depth >= Self::RANGE[3][1]
+    }
+
     fn values(&self) -> [f64; PARTS] {
         [self.noise_m_s2, self.load, self.side_load, self.depth, self.shift_m, self.own_m, self.own_stock_m]
     }

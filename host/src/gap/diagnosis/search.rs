@@ -51,8 +51,11 @@ const MOST_SHARED: f64 = 0.65;
 /// fit over voids made of their scatter.
 const MOST_WHEELS: f64 = 0.9;
 
+const ADRIFT: &str = "wheels differ over this panel by more than the model can follow: sizes are rough, and whether something else acts cannot be \
+                      told before this is mended";
+
 /// A latent effect, what it found, and the part of the displacement's residual that this explains.
-type Explored = (&'static dyn Latent, Option<LatentFit>, f64);
+pub(super) type Explored = (&'static dyn Latent, Option<LatentFit>, f64);
 
 /// A model before the last effect.
 struct Confirmed {
@@ -63,14 +66,14 @@ struct Confirmed {
 }
 
 /// One candidate of a round.
-struct Candidate {
-    name: &'static str,
+pub(super) struct Candidate {
+    pub(super) name: &'static str,
     stage: Stage,
-    gain: f64,
+    pub(super) gain: f64,
     misfit_gain: f64,
     /// The same per independent look.
     relief: f64,
-    full: bool,
+    pub(super) full: bool,
     acts_on: ActsOn,
 }
 
@@ -87,8 +90,19 @@ impl Session<'_> {
             if !self.one_round(number, &earlier, progress)? {
                 break;
             }
+            if self.adrift() {
+                self.remarks.push(ADRIFT.into());
+                break;
+            }
         }
         Ok(())
+    }
+
+    /// Whether the model is lost with an effect of the panel in it, over which wheels differ in ways that it does not know: what is
+    /// looked for on top would mend the description of that effect.
+    fn adrift(&self) -> bool {
+        let lost = !self.accepted.is_empty() && self.fit.as_ref().is_some_and(Fit::lost);
+        lost && self.base.variation.beyond_linear()
     }
 
     /// Tries everything on top of what is accepted; accepts the best if it is good enough.
@@ -149,6 +163,9 @@ impl Session<'_> {
             self.accept(&list[k..], &mut tried, &mut latent)?;
             if self.confirm(earlier, list[k].relief)? {
                 self.prune()?;
+                if self.accepted.len() > earlier.accepted {
+                    self.review_wheels()?;
+                }
                 return Ok(true);
             }
         }
@@ -165,7 +182,7 @@ impl Session<'_> {
         c.full && room && c.gain > least_gain && 2.0 * c.misfit_gain > LEAST_SHARE * misfit
     }
 
-    fn candidates(
+    pub(super) fn candidates(
         &self,
         tried: &[Tried<'static>],
         reference: &Fit,
@@ -241,7 +258,7 @@ impl Session<'_> {
             .collect()
     }
 
-    fn explore(&mut self) -> Result<Vec<Explored>, GapError> {
+    pub(super) fn explore(&mut self) -> Result<Vec<Explored>, GapError> {
         let state = self.state();
         let world = state.world(&self.base.frame, &self.accepted);
         let all: Vec<usize> = (0..self.base.frame.observed.len()).collect();
@@ -371,31 +388,8 @@ impl Session<'_> {
         Ok(false)
     }
 
-    /// Takes back earlier effects of the panel that the model no longer needs: what is found first may only have stood in for
-    /// what is found later.
-    fn prune(&mut self) -> Result<(), GapError> {
-        let mut k = 0;
-        while k + 1 < self.accepted.len() {
-            let Some(now) = self.fit.as_ref() else { return Ok(()) };
-            let (mut fewer, mut state) = (self.accepted.clone(), now.state.clone());
-            let name = fewer.remove(k).name();
-            state.effects.remove(k);
-            let without = settled(&self.base.frame, &fewer, state, self.search)?;
-            if now.log_evidence - without.log_evidence > LEAST_GAIN * now.inflation() {
-                k += 1;
-                continue;
-            }
-            (self.accepted, self.fit) = (fewer, Some(without));
-            self.named.retain(|n| n.name != name);
-            for r in self.ranking.iter_mut().filter(|r| r.name == name) {
-                r.probability = r.probability.min(1.0 - MOST_SURE);
-            }
-        }
-        Ok(())
-    }
-
     /// Once wheels are known to differ by an effect, their natural variation is what remains.
-    fn refit_variation(&mut self) -> Result<(), GapError> {
+    pub(super) fn refit_variation(&mut self) -> Result<(), GapError> {
         let state = self.state();
         fit_variation(self.base, &self.accepted, &state, self.search)?;
         let options = FitOptions::default();

@@ -1,0 +1,90 @@
+//! Effects named earlier, looked at again once another one is in the model.
+
+use super::{LEAST_GAIN, MOST_SURE, Session};
+use crate::gap::GapError;
+use crate::gap::effect::ActsOn;
+use crate::gap::fit::settled;
+use crate::gap::latent::{Latent, LatentFit};
+
+/// An effect of wheels is the one of before when what it adds to the windows correlates with what it added by more than this.
+const THE_SAME: f64 = 0.5;
+
+impl Session<'_> {
+    /// Takes back earlier effects of the panel that the model no longer needs: what is found first may only have stood in for
+    /// what is found later.
+    pub(super) fn prune(&mut self) -> Result<(), GapError> {
+        let mut k = 0;
+        while k + 1 < self.accepted.len() {
+            let Some(now) = self.fit.as_ref() else { return Ok(()) };
+            let (mut fewer, mut state) = (self.accepted.clone(), now.state.clone());
+            let name = fewer.remove(k).name();
+            state.effects.remove(k);
+            let without = settled(&self.base.frame, &fewer, state, self.search)?;
+            if now.log_evidence - without.log_evidence > LEAST_GAIN * now.inflation() {
+                k += 1;
+                continue;
+            }
+            (self.accepted, self.fit) = (fewer, Some(without));
+            self.taken_back(name);
+        }
+        Ok(())
+    }
+
+    /// Looks for effects of wheels again, with the effect of the panel that was found after them in the model: wheels scatter
+    /// otherwise over a panel that the model did not know, and what they were thought to have may be that.
+    pub(super) fn review_wheels(&mut self) -> Result<(), GapError> {
+        let of_wheels = |(e, _): &(&'static dyn Latent, LatentFit)| e.acts_on() == ActsOn::Wheels;
+        let (earlier, kept): (Vec<_>, Vec<_>) =
+            std::mem::take(&mut self.latent_fits).into_iter().partition(of_wheels);
+        self.latent_fits = kept;
+        if earlier.is_empty() {
+            return Ok(());
+        }
+        let names: Vec<&str> = earlier.iter().map(|(e, _)| e.name()).collect();
+        for (_, found) in &earlier {
+            for (o, part) in self.base.frame.observed.iter_mut().zip(&found.windows) {
+                o.restore(part);
+            }
+        }
+        let named = self.named.clone();
+        self.named.retain(|n| !names.contains(&n.name));
+        self.refit_variation()?;
+        let Some(reference) = self.fit.clone() else { return Ok(()) };
+        let mut found = self.explore()?;
+        let list = self.candidates(&[], &reference, &found)?;
+        self.named = named;
+        for (effect, before) in earlier {
+            let name = effect.name();
+            let there = list.iter().any(|c| c.name == name && c.full && c.gain > LEAST_GAIN);
+            let again = found.iter_mut().find(|(e, ..)| e.name() == name).and_then(|(_, f, _)| f.take());
+            let Some(fit) = again.filter(|f| there && likeness(f, &before) > THE_SAME) else {
+                self.taken_back(name);
+                continue;
+            };
+            for (o, part) in self.base.frame.observed.iter_mut().zip(&fit.windows) {
+                o.remove(part);
+            }
+            for named in self.named.iter_mut().filter(|n| n.name == name) {
+                named.parameters.clone_from(&fit.parameters);
+            }
+            self.latent_fits.push((effect, fit));
+        }
+        if self.latent_fits.is_empty() { Ok(()) } else { self.refit_variation() }
+    }
+
+    /// An effect is not named any more.
+    fn taken_back(&mut self, name: &str) {
+        self.named.retain(|n| n.name != name);
+        for r in self.ranking.iter_mut().filter(|r| r.name == name) {
+            r.probability = r.probability.min(1.0 - MOST_SURE);
+        }
+    }
+}
+
+/// Correlation of what two fits add to the windows.
+fn likeness(a: &LatentFit, b: &LatentFit) -> f64 {
+    let all = |f: &LatentFit| -> Vec<f64> { f.windows.iter().flatten().flatten().copied().collect() };
+    let (a, b) = (all(a), all(b));
+    let dot = |x: &[f64], y: &[f64]| x.iter().zip(y).map(|(x, y)| x * y).sum::<f64>();
+    dot(&a, &b) / (dot(&a, &a) * dot(&b, &b)).sqrt().max(f64::MIN_POSITIVE)
+}

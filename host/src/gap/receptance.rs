@@ -73,6 +73,20 @@ pub enum ReceptanceError {
         /// What is wrong.
         what: &'static str,
     },
+    /// Samples are missing or doubled.
+    #[error(
+        "{file}: sample {sample} comes {step_s:.2e} s after the one before, the others every {mean_s:.2e} s; export the hit as recorded"
+    )]
+    Uneven {
+        /// Which file.
+        file: String,
+        /// Sample, from 1.
+        sample: usize,
+        /// Time since the one before, s.
+        step_s: f64,
+        /// Mean of all, s.
+        mean_s: f64,
+    },
     /// No files, or several of which one is an estimate already.
     #[error("{files} files; give all hits, one file each, or one file with the estimated receptance")]
     Files {
@@ -182,16 +196,31 @@ pub fn read_hit(file: &Path) -> Result<Hit, ReceptanceError> {
 fn hit(file: &str, text: &str) -> Result<Hit, ReceptanceError> {
     let rows = table::<3>(file, text, HIT)?;
     let wrong = |line: usize| ReceptanceError::Format { file: file.into(), line, header: HIT };
-    let (Some(first), Some(last)) = (rows.first(), rows.last()) else { return Err(wrong(2)) };
-    let span_s = last[0] - first[0];
-    if rows.len() < LEAST_SAMPLES || span_s <= 0.0 {
+    if rows.len() < LEAST_SAMPLES {
         return Err(wrong(rows.len() + 1));
     }
+    let time_s: Vec<f64> = rows.iter().map(|r| r[0]).collect();
     Ok(Hit {
-        rate_hz: (rows.len() - 1) as f64 / span_s,
+        rate_hz: even_rate_hz(file, &time_s)?,
         force_n: rows.iter().map(|r| r[1]).collect(),
         acceleration_m_s2: rows.iter().map(|r| r[2]).collect(),
     })
+}
+
+/// Steps between samples lie within this part of their mean: times may be rounded, but no sample may be missing.
+const EVEN_WITHIN: f64 = 0.5;
+
+/// Rate of two samples or more, which must come at an even pace.
+fn even_rate_hz(file: &str, time_s: &[f64]) -> Result<f64, ReceptanceError> {
+    let steps = || time_s.windows(2).map(|w| w[1] - w[0]);
+    let mean_s = steps().sum::<f64>() / (time_s.len() - 1) as f64;
+    let even = |step_s: f64| (step_s - mean_s).abs() < EVEN_WITHIN * mean_s;
+    match steps().enumerate().find(|(_, step_s)| !even(*step_s)) {
+        Some((k, step_s)) => {
+            Err(ReceptanceError::Uneven { file: file.into(), sample: k + 2, step_s, mean_s })
+        }
+        None => Ok(1.0 / mean_s),
+    }
 }
 
 /// Finite numbers under a header.
@@ -335,6 +364,21 @@ mod tests {
         let exact = c64::new(1.0, 0.0) / c64::new(stiffness - 10.0 * omega * omega, 400.0 * omega);
         assert!((found.receptance_m_n[k] / exact - 1.0).norm() < 1e-2);
         assert!(found.coherence.iter().all(|c| *c > 0.999));
+    }
+
+    #[test]
+    fn property_missing_samples_are_refused_with_their_place() {
+        let table = |times: &mut dyn Iterator<Item = usize>| -> String {
+            let rows = times.map(|k| format!("{:.6},1,2\n", k as f64 / 30_000.0));
+            format!("{HIT}\n{}", rows.collect::<String>())
+        };
+        // Microseconds round steps of 33.3 µs.
+        let whole = hit("a.csv", &table(&mut (0..100))).unwrap();
+        assert!((whole.rate_hz / 30_000.0 - 1.0).abs() < 1e-3);
+        let gap = hit("a.csv", &table(&mut (0..100).filter(|k| *k != 40)));
+        assert!(matches!(gap, Err(ReceptanceError::Uneven { sample: 41, .. })), "{gap:?}");
+        let backwards = hit("a.csv", &table(&mut (0..100).rev()));
+        assert!(matches!(backwards, Err(ReceptanceError::Uneven { .. })), "{backwards:?}");
     }
 
     #[test]

@@ -7,7 +7,7 @@
 
 use faer::c64;
 
-use super::{Content, Hit, Receptance, ReceptanceError};
+use super::{Content, Hit, Receptance, ReceptanceError, even_rate_hz};
 
 /// What an axis means (`specific data type`).
 const DISPLACEMENT: i64 = 8;
@@ -59,7 +59,7 @@ pub(super) fn read(file: &str, text: &str) -> Result<Content, ReceptanceError> {
         }
         at = begin + length + 1;
     }
-    content(functions).map_err(|what| wrong(lines.len(), what))
+    content(file, &functions, &|what| wrong(lines.len(), what))
 }
 
 /// The dataset of units must say SI.
@@ -127,12 +127,19 @@ fn values(body: &[&str]) -> Result<Vec<f64>, (usize, &'static str)> {
         .collect()
 }
 
-fn content(functions: Vec<Function>) -> Result<Content, &'static str> {
+/// Makes an error of what is wrong with a file as a whole.
+type Wrong<'a> = &'a dyn Fn(&'static str) -> ReceptanceError;
+
+fn content(file: &str, functions: &[Function], wrong: Wrong) -> Result<Content, ReceptanceError> {
     let is = |kind: i64| functions.iter().find(move |f| f.kind == kind);
-    let Some(response) = is(FREQUENCY_RESPONSE) else { return hits(&functions) };
-    let Some(coherence) = is(COHERENCE) else {
-        return Err("a frequency response without its coherence (function type 6)");
-    };
+    match is(FREQUENCY_RESPONSE) {
+        Some(response) => estimate(response, is(COHERENCE)).map(Content::Estimate).map_err(wrong),
+        None => hits(file, functions, wrong).map(Content::Hits),
+    }
+}
+
+fn estimate(response: &Function, coherence: Option<&Function>) -> Result<Receptance, &'static str> {
+    let coherence = coherence.ok_or("a frequency response without its coherence (function type 6)")?;
     if coherence.at != response.at {
         return Err("coherence and frequency response at different frequencies");
     }
@@ -145,7 +152,7 @@ fn content(functions: Vec<Function>) -> Result<Content, &'static str> {
             let iw = c64::new(0.0, std::f64::consts::TAU * f);
             (*f, value / iw.powu(order), coherence.re)
         });
-    Ok(Content::Estimate(Receptance::estimated(lines)))
+    Ok(Receptance::estimated(lines))
 }
 
 /// Derivatives by time between displacement and what was measured.
@@ -159,28 +166,23 @@ fn order(numerator: i64) -> Result<u32, &'static str> {
 }
 
 /// Series of force and of acceleration, taken in pairs as they come.
-fn hits(functions: &[Function]) -> Result<Content, &'static str> {
+fn hits(file: &str, functions: &[Function], wrong: Wrong) -> Result<Vec<Hit>, ReceptanceError> {
     let series = |what: i64| functions.iter().filter(move |f| f.kind == TIME_RESPONSE && f.numerator == what);
-    let hits: Vec<Hit> = series(FORCE)
-        .zip(series(ACCELERATION))
-        .map(|(force, response)| {
-            let n = force.at.len();
-            let span_s = force.at[n - 1] - force.at[0];
-            if response.at != force.at || span_s.is_nan() || span_s <= 0.0 {
-                return Err("force and acceleration at different times");
-            }
-            let real = |f: &Function| f.value.iter().map(|v| v.re).collect();
-            Ok(Hit {
-                rate_hz: (n - 1) as f64 / span_s,
-                force_n: real(force),
-                acceleration_m_s2: real(response),
-            })
-        })
-        .collect::<Result<_, _>>()?;
-    if hits.is_empty() {
-        return Err("neither a frequency response (type 4) nor series of force and acceleration (type 1)");
+    let hit = |(force, response): (&Function, &Function)| {
+        if response.at != force.at {
+            return Err(wrong("force and acceleration at different times"));
+        }
+        let real = |f: &Function| f.value.iter().map(|v| v.re).collect();
+        let rate_hz = even_rate_hz(file, &force.at)?;
+        Ok(Hit { rate_hz, force_n: real(force), acceleration_m_s2: real(response) })
+    };
+    let hits: Vec<Hit> = series(FORCE).zip(series(ACCELERATION)).map(hit).collect::<Result<_, _>>()?;
+    match hits.is_empty() {
+        true => {
+            Err(wrong("neither a frequency response (type 4) nor series of force and acceleration (type 1)"))
+        }
+        false => Ok(hits),
     }
-    Ok(Content::Hits(hits))
 }
 
 #[cfg(test)]
@@ -241,6 +243,19 @@ mod tests {
         let Content::Hits(found) = read("a.uff", &text).unwrap() else { panic!("an estimate") };
         assert_eq!((found.len(), found[0].rate_hz), (1, 0.5));
         assert_eq!((found[0].force_n[3], found[0].acceleration_m_s2[3]), (3.0, 6.0));
+    }
+
+    #[test]
+    fn property_series_with_a_missing_sample_are_refused() {
+        // Form of the data: real, 64 values, with their abscissas.
+        let uneven = |numerator: i64| {
+            let pairs: Vec<c64> =
+                (0..64).map(|k| f64::from(k + i32::from(k > 30)) * 1e-4).map(|t| c64::new(t, 1.0)).collect();
+            let even = dataset(1, numerator, 0, true, &pairs);
+            even.replacen("         5        64         1", "         2        64         0", 1)
+        };
+        let found = read("a.uff", &(uneven(FORCE) + &uneven(ACCELERATION)));
+        assert!(matches!(found, Err(ReceptanceError::Uneven { sample: 32, .. })), "{found:?}");
     }
 
     #[test]

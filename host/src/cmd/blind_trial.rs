@@ -31,7 +31,7 @@ pub(super) struct BlindTrialArgs {
     /// Number of trials
     #[arg(long, default_value_t = 20)]
     trials: u64,
-    /// Take over the trials of this seed and version that trials.json in the output directory holds
+    /// Take over the trials of this seed and build that trials.json in the output directory holds
     #[arg(long)]
     resume: bool,
     /// Directory for the scores; created when missing
@@ -73,7 +73,8 @@ impl BlindTrialArgs {
             0 => std::thread::available_parallelism().map_or(1, usize::from),
             n => n,
         };
-        let known = if self.resume { self.known()? } else { BTreeMap::new() };
+        let version = version()?;
+        let known = if self.resume { self.known(&version)? } else { BTreeMap::new() };
         known.iter().for_each(|_| bar.step());
         let left: Vec<u64> = (0..self.trials).filter(|i| !known.contains_key(i)).collect();
         let next = AtomicUsize::new(0);
@@ -86,7 +87,7 @@ impl BlindTrialArgs {
                 let mut done = done.lock().unwrap_or_else(PoisonError::into_inner);
                 done.insert(index, found);
                 bar.step();
-                self.write(&done)?;
+                self.write(&done, &version)?;
             }
             Ok(())
         };
@@ -97,8 +98,8 @@ impl BlindTrialArgs {
         Ok(done.into_inner().unwrap_or_else(PoisonError::into_inner).into_values().collect())
     }
 
-    /// Trials of an earlier run with this seed and version.
-    fn known(&self) -> anyhow::Result<BTreeMap<u64, Score>> {
+    /// Trials of an earlier run with this seed and build.
+    fn known(&self, version: &str) -> anyhow::Result<BTreeMap<u64, Score>> {
         let path = self.out.join("trials.json");
         if !path.exists() {
             return Ok(BTreeMap::new());
@@ -106,19 +107,19 @@ impl BlindTrialArgs {
         let records: Vec<Record> = serde_json::from_slice(&read_bytes(&path)?).with_context(|| {
             format!("{} is not from this version of blind-trial; run without --resume", path.display())
         })?;
-        let same = |r: &Record| r.seed == self.seed && r.version == VERSION && r.trial < self.trials;
+        let same = |r: &Record| r.seed == self.seed && r.version == version && r.trial < self.trials;
         Ok(records.into_iter().filter(same).map(|r| (r.trial, r.score)).collect())
     }
 
-    fn write(&self, done: &BTreeMap<u64, Score>) -> anyhow::Result<()> {
+    fn write(&self, done: &BTreeMap<u64, Score>, version: &str) -> anyhow::Result<()> {
+        let scores: Vec<Score> = done.values().cloned().collect();
         let record = |(trial, score): (&u64, &Score)| Record {
             seed: self.seed,
             trial: *trial,
-            version: VERSION.to_string(),
+            version: version.to_string(),
             score: score.clone(),
         };
         let records: Vec<Record> = done.iter().map(record).collect();
-        let scores: Vec<Score> = done.values().cloned().collect();
         write_atomic(&self.out.join("trials.json"), serde_json::to_string_pretty(&records)?.as_bytes())?;
         write_atomic(&self.out.join("trials.csv"), csv(&scores).as_bytes())?;
         write_atomic(&self.out.join("table.txt"), table(&scores).as_bytes())?;
@@ -139,8 +140,12 @@ struct Record {
     score: Score,
 }
 
-/// Scores of different versions do not mix.
-const VERSION: &str = env!("CARGO_PKG_VERSION");
+/// Version of the package and checksum of the program: scores of different builds do not mix.
+fn version() -> anyhow::Result<String> {
+    let program = read_bytes(&std::env::current_exe().context("this program has no path")?)?;
+    let checksum = crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC).checksum(&program);
+    Ok(format!("{}-{checksum:08x}", env!("CARGO_PKG_VERSION")))
+}
 
 /// Draws, diagnoses and scores one trial.
 fn one(seed: u64, index: u64, kept: Option<&Path>) -> anyhow::Result<Score> {

@@ -128,13 +128,22 @@ fn bend(shift_m: f64) -> f64 {
 /// Correlation length of a wheel's own irregularity, metres.
 const OWN_CORRELATION_M: f64 = 0.12;
 
+/// Correlation of the irregularity of single wheels between the knots of one rail.
+fn own_irregularity(grids: &PathSplines, of: Side) -> Mat<f64> {
+    let knots = grids.knots();
+    Mat::from_fn(knots.len(), knots.len(), |i, j| {
+        let ((a, x), (b, y)) = (knots[i], knots[j]);
+        if a == of && b == of { super::splines::matern((x - y).abs() / OWN_CORRELATION_M) } else { 0.0 }
+    })
+}
+
 impl Shapes {
     /// For the windows of one passage.
     pub fn new(responses: &BogieResponses, moves: [WheelMoves; 2], grids: &PathSplines) -> Self {
         let len = responses.profile[0].nrows();
         let mut parts: Vec<Mat<f64>> = (0..PARTS - 1).map(|_| Mat::zeros(len, len)).collect();
         let mut curvature = Mat::zeros(len, len);
-        let knots = grids.knots();
+        let own = [Side::Crossing, Side::Stock].map(|side| own_irregularity(grids, side));
         for axle in 0..2 {
             let a = &responses.profile[axle];
             let [c, s] = &responses.load[axle];
@@ -145,14 +154,8 @@ impl Shapes {
             add_outer(&mut parts[2], &column(&|k| moves.depth[k]));
             add_outer(&mut parts[3], &column(&|k| moves.shift[k]));
             add_outer(&mut curvature, &column(&|k| moves.curvature[k]));
-            for (part, side) in [(4, Side::Crossing), (5, Side::Stock)] {
-                let own = Mat::from_fn(knots.len(), knots.len(), |i, j| {
-                    if knots[i].0 != side || knots[j].0 != side {
-                        return 0.0;
-                    }
-                    super::splines::matern((knots[i].1 - knots[j].1).abs() / OWN_CORRELATION_M)
-                });
-                let half = a * &own;
+            for (part, own) in [4, 5].into_iter().zip(&own) {
+                let half = a * own;
                 parts[part] += &half * a.transpose();
             }
         }

@@ -22,7 +22,7 @@ use cpcm::gap::world::SensorModel;
 use cpcm::progress::Silent;
 use cpcm::recording::{Format, Site, read_site, write_site};
 use cpcm::scenario::effects::HollowWheels;
-use cpcm::scenario::simulate;
+use cpcm::scenario::{read_scenario, simulate};
 use cpcm_tests::tolerance;
 use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
 
@@ -406,4 +406,26 @@ fn property_a_silent_site_is_refused() {
     let mut site = small("reference-1", 2);
     site.passages.iter_mut().for_each(|p| p.acceleration_m_s2.fill(0.0));
     assert!(matches!(quick(&site), Err(GapError::Silent)));
+}
+
+/// From the base model, the ringing of a mount looks like bursts of single wheels: a flat was named first and kept.
+#[test]
+fn regress_the_ringing_of_a_mount_is_no_flat() {
+    let work = tempfile::tempdir().unwrap();
+    let (scenario, drawn) = scenario_of(15, 104, work.path()).unwrap();
+    assert_eq!(drawn, ["mount-resonance"]);
+    let found = full(&simulate(&scenario, &Silent).unwrap().site);
+    let named: Vec<&str> = found.effects.iter().map(|e| e.name).collect();
+    assert_eq!(named, ["mount-resonance"]);
+}
+
+/// A dip in the stock rail and another crossing rail mended the description of the void, and took its size with them.
+#[test]
+fn regress_a_deep_void_is_all_that_is_named() {
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/examples/voided.toml");
+    let found = full(&simulate(&read_scenario(&file).unwrap(), &Silent).unwrap().site);
+    let named: Vec<&str> = found.effects.iter().map(|e| e.name).collect();
+    assert_eq!(named, ["voided-sleepers"]);
+    let (_, _, low, high) = found.effects[0].parameters[0];
+    assert!(low < 4.5e-3 && 4.5e-3 < high, "{low} … {high}");
 }

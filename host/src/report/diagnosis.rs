@@ -42,7 +42,7 @@ pub fn sentence(d: &Diagnosis) -> String {
         Verdict::NoGap => "No gap: the model predicts these recordings as well as their noise allows.".into(),
         Verdict::Explained => format!("Explained by {}.", names.join(" and ")),
         Verdict::PartlyExplained => {
-            format!("Partly explained by {}; something else acts too.", names.join(" and "))
+            format!("Partly explained by {}; the rest of the gap is not.", names.join(" and "))
         }
         Verdict::Unexplained if closed(&d.gap) => {
             "The residual is small, but something acts that nothing in the catalogue explains: see the notes."

@@ -188,9 +188,14 @@ pub fn diagnose(
         );
         searched = false;
     }
-    searched &= session.trustworthy(site, &before);
+    searched &= session.trustworthy(site);
     if searched {
+        let doubtful = site.scan.is_some() && session.scan_is_foreign(site, &before);
+        let open = session.shared_squares()?;
         session.search(progress)?;
+        if doubtful {
+            session.doubt_scan(open)?;
+        }
     }
     let node_gap = node_gap(site);
     let mut out = session.conclude(&before, (site.scan.is_some(), node_gap), progress)?;

@@ -41,11 +41,7 @@ impl Session<'_> {
             return Ok(());
         }
         let names: Vec<&str> = earlier.iter().map(|(e, _)| e.name()).collect();
-        for (_, found) in &earlier {
-            for (o, part) in self.base.frame.observed.iter_mut().zip(&found.windows) {
-                o.restore(part);
-            }
-        }
+        earlier.iter().for_each(|(_, found)| self.give_back(found));
         let named = self.named.clone();
         self.named.retain(|n| !names.contains(&n.name));
         self.refit_variation()?;
@@ -70,6 +66,23 @@ impl Session<'_> {
             self.latent_fits.push((effect, fit));
         }
         if self.latent_fits.is_empty() { Ok(()) } else { self.refit_variation() }
+    }
+
+    /// Takes back all that the search has named.
+    pub(super) fn forget_search(&mut self) {
+        let latent = std::mem::take(&mut self.latent_fits);
+        latent.iter().for_each(|(_, found)| self.give_back(found));
+        let accepted = std::mem::take(&mut self.accepted);
+        let names = accepted.iter().map(|e| e.name()).chain(latent.iter().map(|(e, _)| e.name()));
+        names.for_each(|name| self.taken_back(name));
+        self.fit = None;
+    }
+
+    /// Puts what an effect of wheels or recordings was thought to add back into the windows.
+    fn give_back(&mut self, found: &LatentFit) {
+        for (o, part) in self.base.frame.observed.iter_mut().zip(&found.windows) {
+            o.restore(part);
+        }
     }
 
     /// An effect is not named any more.

@@ -346,7 +346,7 @@ impl Session<'_> {
 
     /// Squares of the residual of the training passages with the current model, relative to the signal: acceleration and
     /// displacement, and the acceleration's part that differs from bogie to bogie.
-    fn current_squares(&self) -> Result<[f64; 3], GapError> {
+    pub(super) fn current_squares(&self) -> Result<[f64; 3], GapError> {
         let frame = &self.base.frame;
         let world = self.state().world(frame, &self.accepted);
         let train = &self.split.train;

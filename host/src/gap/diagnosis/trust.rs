@@ -1,6 +1,7 @@
 //! What a site does not allow to tell, and whether effects may be looked for at all.
 
 use super::{ALIGN_M, PATH_PRIOR, Session};
+use crate::gap::GapError;
 use crate::gap::base::{Base, base};
 use crate::gap::consistency::Strangers;
 use crate::gap::data::energies;
@@ -13,6 +14,10 @@ const LEAST_PASSAGES: usize = 4;
 /// A scan is another crossing's when more than this part of the residual's energy is common to all wheels, when the path
 /// that fits instead differs from it by this part of its own energy, and when that leaves less than this of the common part.
 const FOREIGN_SCAN: (f64, f64, f64) = (0.7, 0.3, 0.5);
+
+/// What all wheels share must fall below this part by the effects found, for a scan that another path than its own replaces well
+/// to be this crossing's.
+const CLEARED: f64 = 0.25;
 
 impl Session<'_> {
     /// What the site does not allow to tell.
@@ -58,7 +63,7 @@ impl Session<'_> {
     }
 
     /// Whether there is enough, and one crossing only, to look for effects in. What is wrong is said.
-    pub(super) fn trustworthy(&mut self, site: &Site, before: &World) -> bool {
+    pub(super) fn trustworthy(&mut self, site: &Site) -> bool {
         let observed = &self.base.frame.observed;
         if observed.len() < LEAST_PASSAGES {
             self.remarks.push(format!(
@@ -85,20 +90,34 @@ impl Session<'_> {
             );
             return false;
         }
-        if site.scan.is_some() && self.scan_is_foreign(site, before) {
-            self.remarks.push(
-                "the laser scan does not belong to these recordings: without it they are predicted far better, over another \
-                 path; scan again, no effect is looked for"
-                    .into(),
-            );
-            (self.foreign_scan, self.untrusted) = (true, true);
-            return false;
-        }
         true
     }
 
+    /// Takes back what the search has found where the scan must be another crossing's: another path predicts the recordings far
+    /// better, and what was found does not. `open` is how much of the residual all wheels shared before the search.
+    pub(super) fn doubt_scan(&mut self, open: f64) -> Result<(), GapError> {
+        let left = self.shared_squares()?;
+        if left < CLEARED * open {
+            return Ok(());
+        }
+        self.remarks.push(
+            "the laser scan does not belong to these recordings: without it they are predicted far better, over another path, and \
+             no effect accounts for it; scan again"
+                .into(),
+        );
+        (self.foreign_scan, self.untrusted) = (true, true);
+        self.forget_search();
+        Ok(())
+    }
+
+    /// Squares of the training passages' residual that all wheels share, relative to the signal.
+    pub(super) fn shared_squares(&self) -> Result<f64, GapError> {
+        let [all, _, own] = self.current_squares()?;
+        Ok((all - own).max(0.0))
+    }
+
     /// Whether another path than the scan's predicts the recordings far better.
-    fn scan_is_foreign(&self, site: &Site, before: &World) -> bool {
+    pub(super) fn scan_is_foreign(&self, site: &Site, before: &World) -> bool {
         let excess = |b: &Base| -> Option<f64> {
             let world = b.fit.state.world(&b.frame, &[]);
             let responses = simulate(&world, &b.frame, self.search).ok()?;

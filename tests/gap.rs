@@ -423,9 +423,16 @@ fn regress_the_ringing_of_a_mount_is_no_flat() {
 #[test]
 fn regress_a_deep_void_is_all_that_is_named() {
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/examples/voided.toml");
-    let found = full(&simulate(&read_scenario(&file).unwrap(), &Silent).unwrap().site);
+    let work = tempfile::tempdir().unwrap();
+    write_site(
+        work.path(),
+        &simulate(&read_scenario(&file).unwrap(), &Silent).unwrap().site,
+        Format::Parquet,
+    )
+    .unwrap();
+    let found = full(&read_site(work.path()).unwrap());
     let named: Vec<&str> = found.effects.iter().map(|e| e.name).collect();
-    assert_eq!(named, ["voided-sleepers"]);
+    assert_eq!(named, ["voided-sleepers"], "{:?} {:?} {:?}", found.verdict, found.remarks, found.gap);
     let (_, _, low, high) = found.effects[0].parameters[0];
     assert!(low < 4.5e-3 && 4.5e-3 < high, "{low} … {high}");
 }

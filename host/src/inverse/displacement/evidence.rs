@@ -4,6 +4,7 @@
 //! correlation under a bell-shaped envelope: the deviation lives at the crossing nose. Per window, s and n maximise
 //! the evidence (s in closed form); correlation and envelope maximise the evidence of all windows of the site.
 
+use std::cmp::Ordering;
 use std::ops::Range;
 
 use faer::Mat;
@@ -66,9 +67,12 @@ impl ForcePrior {
             }
         };
         let n = position_m.len();
-        let covariance = Mat::from_fn(n, n, |i, j| {
-            let (a, b) = (position_m[i], position_m[j]);
-            bell(a) * bell(b) * correlated((a - b).abs()) + if i == j { JITTER } else { 0.0 }
+        let size: Vec<f64> = position_m.iter().map(|x| bell(*x)).collect();
+        // The factorisation reads the lower triangle only.
+        let covariance = Mat::from_fn(n, n, |i, j| match i.cmp(&j) {
+            Ordering::Less => 0.0,
+            Ordering::Equal => size[i] * size[j] + JITTER,
+            Ordering::Greater => size[i] * size[j] * correlated((position_m[i] - position_m[j]).abs()),
         });
         let factor = covariance.llt(faer::Side::Lower);
         Ok(factor.map_err(|_| DisplacementError::Decomposition("prior"))?.L().to_owned())
@@ -163,36 +167,42 @@ struct Scale {
 }
 
 impl Spectrum {
-    /// Evidence of window `j` with s² = (Σ bᵢ²/(σᵢ²+ρ) + r/ρ)/N, the maximum for a given ratio ρ = n²/s².
-    fn scale_at(&self, j: usize, ratio: f64, data: &Compressed) -> Scale {
-        let (mut quadratic, mut log_det) = (data.outside_m2[j] / ratio, 0.0);
-        for (i, s2) in self.s2.iter().enumerate() {
-            quadratic += self.b[(i, j)].powi(2) / (s2 + ratio);
-            log_det += (s2 + ratio).ln();
-        }
+    /// Size and noise of every window that maximise its evidence over the ratios ρ = n²/s² of `RATIOS`, with
+    /// s² = (Σ bᵢ²/(σᵢ²+ρ) + r/ρ)/N, the maximum for a given ratio. What depends on the ratio alone is computed once
+    /// for all windows, and the sums over components are one product of matrices.
+    fn best_scales(&self, data: &Compressed) -> Vec<Scale> {
+        let ratios = ratios();
         let n = data.rows as f64;
-        log_det += (n - self.s2.len() as f64) * ratio.ln();
-        let size2 = quadratic / n;
-        let log_evidence = -0.5 * (n * (size2.ln() + 1.0 + std::f64::consts::TAU.ln()) + log_det);
-        Scale { log_evidence, size2, ratio }
-    }
-
-    fn best_scale(&self, j: usize, data: &Compressed) -> Scale {
-        let (first, last, count) = RATIOS;
-        let mut best = self.scale_at(j, 10f64.powf(first), data);
-        for i in 1..count {
-            let power = first + (last - first) * i as f64 / (count - 1) as f64;
-            let scale = self.scale_at(j, 10f64.powf(power), data);
-            if scale.log_evidence > best.log_evidence {
-                best = scale;
-            }
-        }
-        best
+        let weights = Mat::from_fn(ratios.len(), self.s2.len(), |r, i| 1.0 / (self.s2[i] + ratios[r]));
+        let squares = Mat::from_fn(self.b.nrows(), self.b.ncols(), |i, j| self.b[(i, j)].powi(2));
+        let inside = weights * squares;
+        let log_det: Vec<f64> = ratios
+            .iter()
+            .map(|ratio| {
+                self.s2.iter().map(|s2| (s2 + ratio).ln()).sum::<f64>()
+                    + (n - self.s2.len() as f64) * ratio.ln()
+            })
+            .collect();
+        let scale = |r: usize, j: usize| {
+            let size2 = (inside[(r, j)] + data.outside_m2[j] / ratios[r]) / n;
+            let log_evidence = -0.5 * (n * (size2.ln() + 1.0 + std::f64::consts::TAU.ln()) + log_det[r]);
+            Scale { log_evidence, size2, ratio: ratios[r] }
+        };
+        let larger = |a: Scale, b: Scale| if b.log_evidence > a.log_evidence { b } else { a };
+        (0..self.b.ncols())
+            .map(|j| (1..ratios.len()).map(|r| scale(r, j)).fold(scale(0, j), larger))
+            .collect()
     }
 
     fn log_evidence(&self, data: &Compressed) -> f64 {
-        (0..self.b.ncols()).map(|j| self.best_scale(j, data).log_evidence).sum()
+        self.best_scales(data).iter().map(|scale| scale.log_evidence).sum()
     }
+}
+
+/// The ratios of `RATIOS`, m²/N².
+fn ratios() -> Vec<f64> {
+    let (first, last, count) = RATIOS;
+    (0..count).map(|i| 10f64.powf(first + (last - first) * i as f64 / (count - 1) as f64)).collect()
 }
 
 /// Forces of all windows at the samples `report`; `position_m` are the positions of the force samples, the deviation
@@ -218,19 +228,22 @@ pub fn fit_by_evidence(
         move |i, j| low_pass[(report.start + i, j)]
     });
     let shape = rows * &root * &spectrum.v;
-    let forces =
-        (0..windows_m.len()).map(|j| posterior(&spectrum, j, &data, &shape, model.static_force_n)).collect();
+    let scales = spectrum.best_scales(&data);
+    let forces = scales
+        .iter()
+        .enumerate()
+        .map(|(j, scale)| posterior(&spectrum, j, *scale, &shape, model.static_force_n))
+        .collect();
     Ok(EvidenceFit { prior, tried, forces })
 }
 
 fn posterior(
     spectrum: &Spectrum,
     j: usize,
-    data: &Compressed,
+    scale: Scale,
     shape: &Mat<f64>,
     static_force_n: f64,
 ) -> EvidenceForce {
-    let scale = spectrum.best_scale(j, data);
     let weights: Vec<f64> = (0..spectrum.s2.len())
         .map(|i| spectrum.s2[i].sqrt() * spectrum.b[(i, j)] / (spectrum.s2[i] + scale.ratio))
         .collect();

@@ -34,6 +34,11 @@ fn quick(site: &Site) -> Result<Diagnosis, GapError> {
     diagnose(site, &DiagnoseOptions { quick: true, ..DiagnoseOptions::default() }, &Silent)
 }
 
+/// Names of the effects of a verdict, in their order.
+fn named(found: &Diagnosis) -> Vec<&'static str> {
+    found.effects.iter().map(|e| e.name).collect()
+}
+
 /// A site that is fast to diagnose.
 fn small(name: &str, passages: usize) -> Site {
     let mut site = field(name);
@@ -356,7 +361,7 @@ fn regress_a_wrong_clock_that_leaves_no_gap_is_told() {
 #[test]
 fn reference_a_clock_is_as_wrong_as_the_operator_shows() {
     let found = full(&small("known-clock-error", 8));
-    let named: Vec<&str> = found.effects.iter().map(|e| e.name).collect();
+    let named = named(&found);
     assert_eq!(named, ["clock-error"]);
     let (_, _, low, high) = found.effects[0].parameters[0];
     assert!(low < 0.015 && 0.015 < high, "{low} … {high}");
@@ -415,7 +420,7 @@ fn regress_the_ringing_of_a_mount_is_no_flat() {
     let (scenario, drawn) = scenario_of(15, 104, work.path()).unwrap();
     assert_eq!(drawn, ["mount-resonance"]);
     let found = full(&simulate(&scenario, &Silent).unwrap().site);
-    let named: Vec<&str> = found.effects.iter().map(|e| e.name).collect();
+    let named = named(&found);
     assert_eq!(named, ["mount-resonance"]);
 }
 
@@ -431,7 +436,7 @@ fn regress_a_deep_void_is_all_that_is_named() {
     )
     .unwrap();
     let found = full(&read_site(work.path()).unwrap());
-    let named: Vec<&str> = found.effects.iter().map(|e| e.name).collect();
+    let named = named(&found);
     assert_eq!(named, ["voided-sleepers"], "{:?} {:?} {:?}", found.verdict, found.remarks, found.gap);
     let (_, _, low, high) = found.effects[0].parameters[0];
     assert!(low < 4.5e-3 && 4.5e-3 < high, "{low} … {high}");

@@ -89,6 +89,16 @@ pub fn mean(values: &[f64]) -> f64 {
     if values.is_empty() { 0.0 } else { values.iter().sum::<f64>() / values.len() as f64 }
 }
 
+/// Sum of products of two slices, up to the length of the shorter one.
+pub fn dot(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(x, y)| x * y).sum()
+}
+
+/// Mean of the values within `half` samples of `at` on either side, as far as there are any.
+pub fn mean_around(values: &[f64], at: usize, half: usize) -> f64 {
+    mean(&values[at.saturating_sub(half)..(at + half + 1).min(values.len())])
+}
+
 /// Quantile `q` in 0 … 1 by linear interpolation between order statistics; NaN for an empty slice.
 pub fn quantile(values: &[f64], q: f64) -> f64 {
     let mut sorted = values.to_vec();

@@ -10,7 +10,7 @@ use super::effect::Effect;
 use super::fit::{Fit, FitOptions, Frame, State, fit, settled};
 use super::linear::{BogieResponses, Linear};
 use super::splines::{PathSplines, matern};
-use super::variation::{Shapes, Variation, estimate, scatter};
+use super::variation::{OwnIrregularity, Shapes, Variation, estimate, scatter};
 use super::world::{Bed, Path, SensorModel, Wheels, World};
 use crate::ballast::BallastParameters;
 use crate::ballast::quasi_static::QuasiStatic;
@@ -291,12 +291,12 @@ fn rough_factors(observed: &[Observed]) -> Vec<faer::linalg::solvers::Llt<f64>> 
 /// Linear responses and shapes of the variation around a world, per passage.
 fn linearise(world: &World, observed: &[Observed]) -> Result<(Vec<BogieResponses>, Vec<Shapes>), GapError> {
     let linear = Linear::new(world, observed)?;
-    let grids = &world.path.deviation;
+    let own = OwnIrregularity::new(&world.path.deviation);
     let both: Vec<(BogieResponses, Shapes)> = observed
         .par_iter()
         .map(|o| {
             let r = linear.responses(o);
-            let shapes = Shapes::new(&r, linear.moves(o)?, grids);
+            let shapes = Shapes::new(&r, linear.moves(o)?, &own);
             Ok((r, shapes))
         })
         .collect::<Result<_, GapError>>()?;

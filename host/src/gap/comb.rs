@@ -51,12 +51,7 @@ fn envelope(recording: &Recording) -> Vec<f64> {
     let all = recording.window(0.0, 2.0 * RATE_HZ, n, [BAND_HZ[1], 1.2 * BAND_HZ[1]]);
     let magnitude: Vec<f64> = all.iter().zip(&low).map(|(a, l)| (a - l).abs()).collect();
     let half = (SMOOTH_S * RATE_HZ) as usize;
-    let smooth: Vec<f64> = (0..n / 2)
-        .map(|k| {
-            let (from, to) = ((2 * k).saturating_sub(half), (2 * k + half + 1).min(n));
-            crate::signal::mean(&magnitude[from..to])
-        })
-        .collect();
+    let smooth: Vec<f64> = (0..n / 2).map(|k| crate::signal::mean_around(&magnitude, 2 * k, half)).collect();
     let limit = 1.5 * crate::signal::quantile(&smooth, 0.9);
     smooth.iter().map(|v| v.min(limit)).collect()
 }

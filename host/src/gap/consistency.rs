@@ -52,8 +52,7 @@ fn curve(o: &Observed) -> Vec<f64> {
 
 fn without_slow(curve: &[f64]) -> Vec<f64> {
     let half = (0.5 * SLOW_M / TRAVEL_M.2) as usize;
-    let around = |i: usize| &curve[i.saturating_sub(half)..(i + half + 1).min(curve.len())];
-    (0..curve.len()).map(|i| curve[i] - crate::signal::mean(around(i))).collect()
+    (0..curve.len()).map(|i| curve[i] - crate::signal::mean_around(curve, i, half)).collect()
 }
 
 fn window_along(o: &Observed) -> Vec<f64> {

@@ -128,17 +128,19 @@ impl Observed {
 
     /// Takes known contributions off the windows.
     pub fn remove(&mut self, contributions: &[Vec<f64>]) {
-        for (window, part) in self.windows.iter_mut().zip(contributions) {
-            window.iter_mut().zip(part).for_each(|(w, p)| *w -= p);
-        }
-        self.mean = mean_of(&self.windows);
+        self.add(contributions, -1.0);
     }
 
     /// Puts contributions taken off by [`Self::remove`] back.
     pub fn restore(&mut self, contributions: &[Vec<f64>]) {
-        let negative: Vec<Vec<f64>> =
-            contributions.iter().map(|part| part.iter().map(|p| -p).collect()).collect();
-        self.remove(&negative);
+        self.add(contributions, 1.0);
+    }
+
+    fn add(&mut self, contributions: &[Vec<f64>], factor: f64) {
+        for (window, part) in self.windows.iter_mut().zip(contributions) {
+            window.iter_mut().zip(part).for_each(|(w, p)| *w += factor * p);
+        }
+        self.mean = mean_of(&self.windows);
     }
 
     /// Windows of the bogies less the whole train's prediction.

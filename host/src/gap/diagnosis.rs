@@ -191,9 +191,9 @@ pub fn diagnose(
     searched &= session.trustworthy(site);
     if searched {
         let doubtful = site.scan.is_some() && session.scan_is_foreign(site, &before);
-        let open = session.shared_squares()?;
+        let open = doubtful.then(|| session.shared_squares()).transpose()?;
         session.search(progress)?;
-        if doubtful {
+        if let Some(open) = open {
             session.doubt_scan(open)?;
         }
     }

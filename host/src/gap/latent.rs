@@ -217,3 +217,14 @@ pub fn best_share(gains: &[f64]) -> (f64, f64) {
         .max_by(|a, b| a.0.total_cmp(&b.0))
         .unwrap_or((0.0, 0.0))
 }
+
+/// Product of a matrix with a vector most of whose values are nought.
+pub fn times(matrix: &Mat<f64>, vector: &[f64]) -> Vec<f64> {
+    let mut out = vec![0.0; matrix.nrows()];
+    for (j, v) in vector.iter().enumerate().filter(|(_, v)| **v != 0.0) {
+        for (o, m) in out.iter_mut().zip(matrix.col_as_slice(j)) {
+            *o += v * m;
+        }
+    }
+    out
+}

@@ -128,22 +128,32 @@ fn bend(shift_m: f64) -> f64 {
 /// Correlation length of a wheel's own irregularity, metres.
 const OWN_CORRELATION_M: f64 = 0.12;
 
-/// Correlation of the irregularity of single wheels between the knots of one rail.
-fn own_irregularity(grids: &PathSplines, of: Side) -> Mat<f64> {
-    let knots = grids.knots();
-    Mat::from_fn(knots.len(), knots.len(), |i, j| {
-        let ((a, x), (b, y)) = (knots[i], knots[j]);
-        if a == of && b == of { super::splines::matern((x - y).abs() / OWN_CORRELATION_M) } else { 0.0 }
-    })
+/// Correlation of the irregularity of single wheels between the knots of the path: crossing side, stock side.
+pub struct OwnIrregularity {
+    of_sides: [Mat<f64>; 2],
+}
+
+impl OwnIrregularity {
+    /// For a path's splines.
+    pub fn new(grids: &PathSplines) -> Self {
+        let knots = grids.knots();
+        let of = |side: Side| {
+            Mat::from_fn(knots.len(), knots.len(), |i, j| {
+                let ((a, x), (b, y)) = (knots[i], knots[j]);
+                let both = a == side && b == side;
+                if both { super::splines::matern((x - y).abs() / OWN_CORRELATION_M) } else { 0.0 }
+            })
+        };
+        Self { of_sides: [Side::Crossing, Side::Stock].map(of) }
+    }
 }
 
 impl Shapes {
     /// For the windows of one passage.
-    pub fn new(responses: &BogieResponses, moves: [WheelMoves; 2], grids: &PathSplines) -> Self {
+    pub fn new(responses: &BogieResponses, moves: [WheelMoves; 2], own: &OwnIrregularity) -> Self {
         let len = responses.profile[0].nrows();
         let mut parts: Vec<Mat<f64>> = (0..PARTS - 1).map(|_| Mat::zeros(len, len)).collect();
         let mut curvature = Mat::zeros(len, len);
-        let own = [Side::Crossing, Side::Stock].map(|side| own_irregularity(grids, side));
         for axle in 0..2 {
             let a = &responses.profile[axle];
             let [c, s] = &responses.load[axle];
@@ -154,7 +164,7 @@ impl Shapes {
             add_outer(&mut parts[2], &column(&|k| moves.depth[k]));
             add_outer(&mut parts[3], &column(&|k| moves.shift[k]));
             add_outer(&mut curvature, &column(&|k| moves.curvature[k]));
-            for (part, own) in [4, 5].into_iter().zip(&own) {
+            for (part, own) in [4, 5].into_iter().zip(&own.of_sides) {
                 let half = a * own;
                 parts[part] += &half * a.transpose();
             }
@@ -349,7 +359,7 @@ mod tests {
     fn property_sizes_are_found_again_in_drawn_windows() {
         let grids = PathSplines::level(3.4, [0.055, 0.11]);
         let (r, moves) = responses(&grids);
-        let shapes = Shapes::new(&r, moves, &grids);
+        let shapes = Shapes::new(&r, moves, &OwnIrregularity::new(&grids));
         let truth = Variation {
             noise_m_s2: 0.04,
             load: 0.02,

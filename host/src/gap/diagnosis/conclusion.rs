@@ -1,6 +1,6 @@
 //! From the effects found to the verdict: final fit, held-out passages, parameters with intervals.
 
-use super::{Diagnosis, MOST_SURE, Named, Session};
+use super::{Diagnosis, Named, Session};
 use crate::gap::GapError;
 use crate::gap::effect::{Scale, Stage};
 use crate::gap::fit::{Fit, FitOptions, fit, simulate};
@@ -106,10 +106,8 @@ impl Session<'_> {
         }
         let predicted = predictions(frame, base, base, &[]);
         self.remarks.push(withdrawn(&self.named, &gap));
-        for r in self.ranking.iter_mut().filter(|r| self.named.iter().any(|n| n.name == r.name)) {
-            r.probability = r.probability.min(1.0 - MOST_SURE);
-        }
-        self.named.clear();
+        let names: Vec<&str> = self.named.iter().map(|n| n.name).collect();
+        names.into_iter().for_each(|name| self.taken_back(name));
         let gap = measure(&self.held_out(&predicted), false);
         Ok((predicted, gap))
     }

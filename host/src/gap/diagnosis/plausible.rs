@@ -9,6 +9,7 @@ use crate::gap::GapError;
 use crate::gap::effect::{Effect, Stage, Witness};
 use crate::gap::fit::{Fit, State, simulate, whitened};
 use crate::gap::forward::Response;
+use crate::signal::dot;
 
 /// Probability that temperatures shuffled among the passages would go with their scale as well, above which a gain does not
 /// follow the temperature: trains differ by chance.
@@ -90,8 +91,7 @@ impl Session<'_> {
             let columns = Mat::from_fn(o.mean.len(), 2, |k, c| if c == 0 { o.mean[k] } else { predicted[k] });
             let white = whitened(&frame.factors[index], &columns);
             let (mean, predicted) = (white.col_as_slice(0), white.col_as_slice(1));
-            let product = |b: &[f64]| predicted.iter().zip(b).map(|(p, b)| p * b).sum::<f64>();
-            product(mean) / product(predicted).max(f64::MIN_POSITIVE)
+            dot(predicted, mean) / dot(predicted, predicted).max(f64::MIN_POSITIVE)
         };
         Ok(passages.iter().zip(&responses).map(|(i, r)| scale(*i, r)).collect())
     }
@@ -103,7 +103,6 @@ fn chance(y: &[f64], x: &[f64], z: &[f64]) -> f64 {
         let mean = crate::signal::mean(v);
         v.iter().map(|a| a - mean).collect()
     };
-    let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
     let z = centred(z);
     let freed = |v: &[f64]| -> Vec<f64> {
         let v = centred(v);

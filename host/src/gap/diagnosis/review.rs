@@ -5,6 +5,7 @@ use crate::gap::GapError;
 use crate::gap::effect::ActsOn;
 use crate::gap::fit::settled;
 use crate::gap::latent::{Latent, LatentFit};
+use crate::signal::dot;
 
 /// An effect of wheels is the one of before when what it adds to the windows correlates with what it added by more than this.
 const THE_SAME: f64 = 0.5;
@@ -45,9 +46,9 @@ impl Session<'_> {
         let named = self.named.clone();
         self.named.retain(|n| !names.contains(&n.name));
         self.refit_variation()?;
-        let Some(reference) = self.fit.clone() else { return Ok(()) };
         let mut found = self.explore()?;
-        let list = self.candidates(&[], &reference, &found)?;
+        let Some(reference) = &self.fit else { return Ok(()) };
+        let list = self.candidates(&[], reference, &found)?;
         self.named = named;
         for (effect, before) in earlier {
             let name = effect.name();
@@ -57,13 +58,10 @@ impl Session<'_> {
                 self.taken_back(name);
                 continue;
             };
-            for (o, part) in self.base.frame.observed.iter_mut().zip(&fit.windows) {
-                o.remove(part);
-            }
             for named in self.named.iter_mut().filter(|n| n.name == name) {
                 named.parameters.clone_from(&fit.parameters);
             }
-            self.latent_fits.push((effect, fit));
+            self.take_out(effect, fit);
         }
         if self.latent_fits.is_empty() { Ok(()) } else { self.refit_variation() }
     }
@@ -78,6 +76,14 @@ impl Session<'_> {
         self.fit = None;
     }
 
+    /// Takes what an effect of wheels or recordings adds off the windows.
+    pub(super) fn take_out(&mut self, effect: &'static dyn Latent, found: LatentFit) {
+        for (o, part) in self.base.frame.observed.iter_mut().zip(&found.windows) {
+            o.remove(part);
+        }
+        self.latent_fits.push((effect, found));
+    }
+
     /// Puts what an effect of wheels or recordings was thought to add back into the windows.
     fn give_back(&mut self, found: &LatentFit) {
         for (o, part) in self.base.frame.observed.iter_mut().zip(&found.windows) {
@@ -86,7 +92,7 @@ impl Session<'_> {
     }
 
     /// An effect is not named any more.
-    fn taken_back(&mut self, name: &str) {
+    pub(super) fn taken_back(&mut self, name: &str) {
         self.named.retain(|n| n.name != name);
         for r in self.ranking.iter_mut().filter(|r| r.name == name) {
             r.probability = r.probability.min(1.0 - MOST_SURE);
@@ -98,6 +104,5 @@ impl Session<'_> {
 fn likeness(a: &LatentFit, b: &LatentFit) -> f64 {
     let all = |f: &LatentFit| -> Vec<f64> { f.windows.iter().flatten().flatten().copied().collect() };
     let (a, b) = (all(a), all(b));
-    let dot = |x: &[f64], y: &[f64]| x.iter().zip(y).map(|(x, y)| x * y).sum::<f64>();
     dot(&a, &b) / (dot(&a, &a) * dot(&b, &b)).sqrt().max(f64::MIN_POSITIVE)
 }

@@ -334,10 +334,7 @@ impl Session<'_> {
             latent.drain(..).map(|(e, f, _)| (e, f)).find(|(e, _)| e.name() == name)
         {
             named.parameters = found.parameters.clone();
-            for (o, part) in self.base.frame.observed.iter_mut().zip(&found.windows) {
-                o.remove(part);
-            }
-            self.latent_fits.push((effect, found));
+            self.take_out(effect, found);
             self.refit_variation()?;
         }
         self.named.push(named);

@@ -6,14 +6,14 @@
 //! long one is not followed by the wheel; a simulation with the flat turns area into length. Lengths from 20 mm (nothing
 //! shows below) to 100 mm (out of service at 60 mm in most rule books).
 
-use faer::Mat;
 use rayon::prelude::*;
 
 use crate::gap::data::RATE_HZ;
 use crate::gap::effect::Stage;
 use crate::gap::forward::Simulator;
-use crate::gap::latent::{Latent, LatentFit, Scene, best_share, mixed, responsibility};
+use crate::gap::latent::{Latent, LatentFit, Scene, best_share, mixed, responsibility, times};
 use crate::passage::WheelFlat as Flat;
+use crate::signal::dot;
 
 /// See the module.
 pub struct WheelFlat;
@@ -165,20 +165,6 @@ fn paths(scene: &Scene, broad_m: f64) -> Vec<Vec<f64>> {
                 .collect()
         })
         .collect()
-}
-
-fn times(matrix: &Mat<f64>, vector: &[f64]) -> Vec<f64> {
-    let mut out = vec![0.0; matrix.nrows()];
-    for (j, v) in vector.iter().enumerate().filter(|(_, v)| **v != 0.0) {
-        for (o, m) in out.iter_mut().zip(matrix.col_as_slice(j)) {
-            *o += v * m;
-        }
-    }
-    out
-}
-
-fn dot(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).map(|(x, y)| x * y).sum()
 }
 
 /// Front wheelsets of all bogies of a passage, then rear ones.

@@ -6,7 +6,8 @@
 use rayon::prelude::*;
 
 use crate::gap::effect::Stage;
-use crate::gap::latent::{Latent, LatentFit, Scene, best_share, responsibility};
+use crate::gap::latent::{Latent, LatentFit, Scene, best_share, responsibility, times};
+use crate::signal::dot;
 
 /// See the module.
 pub struct WheelOutOfRoundness;
@@ -132,7 +133,6 @@ fn shown(scene: &Scene, passage: usize, order: u32) -> Vec<Shown> {
         .iter()
         .flat_map(|view| {
             let columns = waves.each_ref().map(|w| times(&view.profile, w));
-            let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(x, y)| x * y).sum::<f64>();
             let g =
                 [dot(&columns[0], &columns[0]), dot(&columns[0], &columns[1]), dot(&columns[1], &columns[1])];
             (0..view.residual.ncols())
@@ -143,16 +143,6 @@ fn shown(scene: &Scene, passage: usize, order: u32) -> Vec<Shown> {
                 .collect::<Vec<_>>()
         })
         .collect()
-}
-
-fn times(matrix: &faer::Mat<f64>, vector: &[f64]) -> Vec<f64> {
-    let mut out = vec![0.0; matrix.nrows()];
-    for (j, v) in vector.iter().enumerate().filter(|(_, v)| **v != 0.0) {
-        for (o, m) in out.iter_mut().zip(matrix.col_as_slice(j)) {
-            *o += v * m;
-        }
-    }
-    out
 }
 
 /// Posterior mean of what the wave adds to the windows of a passage.

@@ -144,8 +144,9 @@ fn compared(
     }
 }
 
-/// Sums of squares of one passage in one band: measured, base residual, corrected residual, floor.
-type Squares = [f64; 4];
+/// Sums of squares of one passage in one band: measured, base residual, corrected residual, and what differs from bogie to bogie
+/// in the corrected and in the base residual.
+type Squares = [f64; 5];
 
 /// Gap in a band.
 #[derive(Clone, Debug, PartialEq)]
@@ -225,13 +226,15 @@ pub fn measure(passages: &[Prediction], changed: bool) -> Gap {
     }
 }
 
-/// sqrt((g_d² + g_a²) / 2) of base model, corrected model and floor.
+/// sqrt((g_d² + g_a²) / 2) of base model, corrected model and floor. A perfect model leaves no more than either model's wheels
+/// differ: an effect that is not there makes them differ more.
 fn ratios(parts: &[[Squares; 2]], pick: &[usize]) -> [f64; 3] {
     let sum = |quantity: usize, k: usize| pick.iter().map(|i| parts[*i][quantity][k]).sum::<f64>();
-    [1, 2, 3].map(|k| {
+    let whole = |k: usize| {
         let ratio = |q: usize| sum(q, k) / sum(q, 0).max(f64::MIN_POSITIVE);
         (0.5 * (ratio(0) + ratio(1))).sqrt()
-    })
+    };
+    [whole(1), whole(2), whole(3).min(whole(4))]
 }
 
 /// Sums of squares of acceleration and displacement, in one of the three bands or in all.
@@ -247,7 +250,8 @@ fn squares(p: &Prediction, band: Option<usize>) -> [Squares; 2] {
         };
         let total = |v: &[f64]| v.iter().map(|x| x * x).sum::<f64>();
         let (before, after) = (banded(&residual(before)), banded(&residual(after)));
-        [total(&banded(measured)), total(&before), total(&after), floor(&after, &p.windows)]
+        let own = [&after, &before].map(|residual| floor(residual, &p.windows));
+        [total(&banded(measured)), total(&before), total(&after), own[0], own[1]]
     })
 }
 

@@ -85,7 +85,7 @@ impl Session<'_> {
     }
 
     /// Puts what an effect of wheels or recordings was thought to add back into the windows.
-    fn give_back(&mut self, found: &LatentFit) {
+    pub(super) fn give_back(&mut self, found: &LatentFit) {
         for (o, part) in self.base.frame.observed.iter_mut().zip(&found.windows) {
             o.restore(part);
         }

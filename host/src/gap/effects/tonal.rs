@@ -9,60 +9,126 @@ use crate::gap::data::{Observed, RATE_HZ};
 use crate::gap::effect::Stage;
 use crate::gap::forward::BAND_HZ;
 use crate::gap::latent::{Latent, LatentFit, Scene};
+use crate::signal::dot;
 
 /// See the module.
 pub struct Tonal;
 
-/// Frequencies searched, Hz, and step: the ends together are 0.6 s long, two seconds apart.
+/// Frequencies searched, Hz, and step.
 const SEARCH_HZ: (f64, f64, f64) = (8.0, 248.0, 0.1);
+/// The ends are some two seconds apart, so frequencies about half a hertz apart fit them nearly as well, and between the steps of
+/// the search a neighbour may fit better: reach and step of the search around its best, and of the last one, Hz.
+const FINE_HZ: [(f64, f64); 2] = [(1.2, 0.02), (0.02, 0.002)];
 /// Quiet stretch at each end, s: recordings begin and end at least 0.3 s before and after the train.
 const QUIET_S: f64 = 0.27;
 /// Cost of choosing the frequency among some thousand, nats.
 const CHOICE: f64 = 10.0;
+/// The frequency is not known better than this, Hz.
+const LEAST_HZ: f64 = 0.02;
 
-/// Train-free ends of a recording.
+/// Train-free ends of a recording, each less its mean.
 struct Quiet {
-    time_s: Vec<f64>,
-    value: Vec<f64>,
+    ends: [End; 2],
     variance: f64,
+}
+
+/// One train-free end.
+struct End {
+    start_s: f64,
+    value: Vec<f64>,
 }
 
 impl Quiet {
     fn new(o: &Observed) -> Self {
         let n = (QUIET_S * RATE_HZ) as usize;
         let last = o.recording.duration_s() - QUIET_S;
-        let (mut time_s, mut value) = (Vec::new(), Vec::new());
-        for start in [0.01, last - 0.01] {
-            let part = o.recording.window(start, RATE_HZ, n, BAND_HZ);
-            let mean = crate::signal::mean(&part);
-            time_s.extend((0..n).map(|k| start + k as f64 / RATE_HZ));
-            value.extend(part.iter().map(|v| v - mean));
-        }
-        let variance = value.iter().map(|v| v * v).sum::<f64>() / value.len().max(1) as f64;
-        Self { time_s, value, variance }
+        Self::of(
+            [0.01, last - 0.01]
+                .map(|start_s| End { start_s, value: o.recording.window(start_s, RATE_HZ, n, BAND_HZ) }),
+        )
     }
 
-    /// Cosine and sine amplitude at a frequency.
-    fn amplitudes(&self, f_hz: f64) -> [f64; 2] {
-        let omega = std::f64::consts::TAU * f_hz;
-        let scale = 2.0 / self.value.len().max(1) as f64;
-        let (mut c, mut s) = (0.0, 0.0);
-        for (t, v) in self.time_s.iter().zip(&self.value) {
-            let (sin, cos) = (omega * t).sin_cos();
-            (c, s) = (c + v * cos, s + v * sin);
+    fn of(mut ends: [End; 2]) -> Self {
+        for end in &mut ends {
+            centre(&mut end.value);
         }
-        [c * scale, s * scale]
+        let mut quiet = Self { ends, variance: 0.0 };
+        quiet.variance = quiet.energy() / quiet.len().max(1) as f64;
+        quiet
+    }
+
+    fn len(&self) -> usize {
+        self.ends.iter().map(|e| e.value.len()).sum()
+    }
+
+    fn energy(&self) -> f64 {
+        self.ends.iter().map(|e| dot(&e.value, &e.value)).sum()
+    }
+
+    /// Cosine and sine amplitude at a frequency by least squares, and what they take off the sum of squares.
+    fn amplitudes(&self, f_hz: f64) -> ([f64; 2], f64) {
+        let omega = std::f64::consts::TAU * f_hz;
+        let (mut g, mut b) = ([0.0; 3], [0.0; 2]);
+        for end in &self.ends {
+            let phase = |k: usize| omega * (end.start_s + k as f64 / RATE_HZ);
+            let [c, s] = [f64::cos, f64::sin].map(|wave| -> Vec<f64> {
+                let mut out = (0..end.value.len()).map(|k| wave(phase(k))).collect::<Vec<_>>();
+                centre(&mut out);
+                out
+            });
+            for (sum, product) in g.iter_mut().zip([dot(&c, &c), dot(&c, &s), dot(&s, &s)]) {
+                *sum += product;
+            }
+            b[0] += dot(&c, &end.value);
+            b[1] += dot(&s, &end.value);
+        }
+        let determinant = (g[0] * g[2] - g[1] * g[1]).max(f64::MIN_POSITIVE);
+        let c = (g[2] * b[0] - g[1] * b[1]) / determinant;
+        let s = (g[0] * b[1] - g[1] * b[0]) / determinant;
+        ([c, s], c * b[0] + s * b[1])
     }
 
     /// Log likelihood ratio with the best sinusoid at a frequency.
     fn gain(&self, f_hz: f64) -> f64 {
-        let [c, s] = self.amplitudes(f_hz);
-        let n = self.value.len() as f64;
-        let left = (self.variance - 0.5 * (c * c + s * s)).max(1e-3 * self.variance);
+        let all = self.energy();
+        let left = (all - self.amplitudes(f_hz).1).max(LEAST_LEFT * all);
         // Band-limited noise has fewer independent values than samples.
-        0.5 * n * (2.0 * BAND_HZ[1] / RATE_HZ) * (self.variance / left.max(f64::MIN_POSITIVE)).ln() - 2.0
+        let n = self.len() as f64 * 2.0 * BAND_HZ[1] / RATE_HZ;
+        0.5 * n * (all / left.max(f64::MIN_POSITIVE)).ln() - 2.0
     }
 }
+
+/// Part of the energy that rounding may leave.
+const LEAST_LEFT: f64 = 1e-12;
+
+fn centre(values: &mut [f64]) {
+    let mean = crate::signal::mean(values);
+    values.iter_mut().for_each(|v| *v -= mean);
+}
+
+/// Best frequency of recordings: log evidence before the cost of choosing, value and 90 % interval, Hz.
+fn strongest(quiet: &[&Quiet]) -> Option<(f64, f64, [f64; 2])> {
+    let scored = |from: f64, to: f64, step: f64| -> Vec<(f64, f64)> {
+        let steps = ((to - from) / step).round() as usize;
+        let total = |f: f64| quiet.iter().map(|q| q.gain(f)).sum::<f64>();
+        (0..=steps).into_par_iter().map(|k| from + k as f64 * step).map(|f| (total(f), f)).collect()
+    };
+    let top = |list: &[(f64, f64)]| list.iter().copied().max_by(|a, b| a.0.total_cmp(&b.0));
+    let mut best = top(&scored(SEARCH_HZ.0, SEARCH_HZ.1, SEARCH_HZ.2))?;
+    let mut around = Vec::new();
+    for (reach, step) in FINE_HZ {
+        let list = scored(best.1 - reach, best.1 + reach, step);
+        best = top(&list)?;
+        around.extend(list);
+    }
+    let likely = around.iter().filter(|(score, _)| *score > best.0 - WITHIN).map(|(_, f)| *f);
+    let ends = likely
+        .fold([best.1 - LEAST_HZ, best.1 + LEAST_HZ], |[low, high], f| [f64::min(low, f), f64::max(high, f)]);
+    Some((best.0, best.1, ends))
+}
+
+/// Log likelihood below the best within which a 90 % interval reaches.
+const WITHIN: f64 = 1.35;
 
 impl Latent for Tonal {
     fn name(&self) -> &'static str {
@@ -75,23 +141,14 @@ impl Latent for Tonal {
 
     fn explore(&self, scene: &Scene) -> Option<LatentFit> {
         let quiet: Vec<Quiet> = scene.observed.par_iter().map(Quiet::new).collect();
-        let total = |f: f64| scene.train.iter().map(|i| quiet[*i].gain(f)).sum::<f64>();
-        let steps = ((SEARCH_HZ.1 - SEARCH_HZ.0) / SEARCH_HZ.2) as usize;
-        let coarse = (0..steps)
-            .into_par_iter()
-            .map(|k| SEARCH_HZ.0 + k as f64 * SEARCH_HZ.2)
-            .map(|f| (total(f), f))
-            .max_by(|a, b| a.0.total_cmp(&b.0))?;
-        let (score, frequency) = (-20..=20)
-            .map(|k| coarse.1 + 0.005 * f64::from(k))
-            .map(|f| (total(f), f))
-            .max_by(|a, b| a.0.total_cmp(&b.0))?;
+        let learnt: Vec<&Quiet> = scene.train.iter().map(|i| &quiet[*i]).collect();
+        let (score, frequency, likely) = strongest(&learnt)?;
         if score <= CHOICE {
             return None;
         }
         let squares: Vec<f64> =
-            scene.train.iter().map(|i| quiet[*i].amplitudes(frequency)).map(|[c, s]| c * c + s * s).collect();
-        let sampling = scene.train.iter().map(|i| 4.0 * quiet[*i].variance / quiet[*i].value.len() as f64);
+            learnt.iter().map(|q| q.amplitudes(frequency).0).map(|[c, s]| c * c + s * s).collect();
+        let sampling = learnt.iter().map(|q| 4.0 * q.variance / q.len().max(1) as f64);
         let noise = sampling.sum::<f64>() / scene.train.len().max(1) as f64;
         let amplitude = (crate::signal::mean(&squares) - noise).max(0.0).sqrt();
         let sd = (noise / scene.train.len().max(1) as f64).sqrt().max(0.01 * amplitude);
@@ -100,7 +157,7 @@ impl Latent for Tonal {
             .iter()
             .zip(&quiet)
             .map(|(trace, q)| {
-                let [c, s] = q.amplitudes(frequency);
+                let ([c, s], _) = q.amplitudes(frequency);
                 let omega = std::f64::consts::TAU * frequency;
                 (0..trace.residual.len())
                     .map(|k| {
@@ -113,12 +170,43 @@ impl Latent for Tonal {
         Some(LatentFit {
             gain: score - CHOICE,
             parameters: vec![
-                ("frequency_hz", frequency, frequency - 0.05, frequency + 0.05),
+                ("frequency_hz", frequency, likely[0], likely[1]),
                 ("amplitude_m_s2", amplitude, amplitude - 1.645 * sd, amplitude + 1.645 * sd),
             ],
             wheel_share: None,
             windows: scene.cut(&traces),
             traces,
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::passage::random::Random;
+
+    /// Between two steps of the search, and far above the noise: a neighbour half a hertz away would turn the phase around
+    /// while the train passes.
+    #[test]
+    fn regress_strong_tone_is_found_at_its_own_frequency() {
+        for (frequency_hz, amplitude_m_s2) in [(122.942, 6.5), (75.263, 12.3), (75.25, 0.3)] {
+            let mut random = Random::new(3, 0);
+            let quiet: Vec<Quiet> = (0..8)
+                .map(|_| {
+                    let (turn, last) = (random.unit(), random.between(1.9, 3.1));
+                    let end = |start_s: f64, random: &mut Random| {
+                        let at = |k: usize| frequency_hz * (start_s + k as f64 / RATE_HZ) + turn;
+                        let noise = |random: &mut Random| 0.1 * random.normal();
+                        let wave = |k: usize| (std::f64::consts::TAU * at(k)).cos();
+                        let value = (0..216).map(|k| amplitude_m_s2 * wave(k) + noise(random)).collect();
+                        End { start_s, value }
+                    };
+                    Quiet::of([end(0.01, &mut random), end(last, &mut random)])
+                })
+                .collect();
+            let (_, found, [low, high]) = strongest(&quiet.iter().collect::<Vec<_>>()).unwrap();
+            assert!((found - frequency_hz).abs() < 0.02, "{found} of {frequency_hz}");
+            assert!(low <= frequency_hz && frequency_hz <= high && high - low < 0.1, "{low} {high}");
+        }
     }
 }

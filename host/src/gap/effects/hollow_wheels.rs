@@ -6,11 +6,13 @@
 //! Gaussians of the same mean, and with two groups.
 
 use faer::Mat;
-use faer::linalg::solvers::Solve as _;
+use faer::linalg::solvers::{Llt, Solve as _};
 use rayon::prelude::*;
 
+use crate::gap::data::RATE_HZ;
 use crate::gap::effect::Stage;
 use crate::gap::fit::whitened;
+use crate::gap::forward::Simulator;
 use crate::gap::latent::{Latent, LatentFit, Scene};
 use crate::gap::variation::Variation;
 
@@ -40,8 +42,12 @@ const STEPS: usize = 60;
 const START_SHARES: [f64; 3] = [0.15, 0.3, 0.45];
 /// Least spread of natural wheels: depth (relative), shift (metres).
 const LEAST_SD: [f64; 2] = [0.01, 2e-3];
-/// Loss of contact makes a deep path's response less than linear: depth beyond 1 and shift are not known better, relative.
+/// What is looked up in simulations of one speed is not known better: depth beyond 1 and shift, relative.
 const LINEAR_ERROR: f64 = 0.2;
+/// Shifts are looked up no finer than this, metres.
+const LEAST_SHIFT_M: f64 = 2.5e-3;
+/// Shares of the groups differ by less than twice this from one half: neither is the majority for sure.
+const EVEN: f64 = 0.12;
 
 /// Depth (relative) and shift (metres, later in x) of one wheelset, with their covariance.
 #[derive(Clone, Copy, Debug)]
@@ -91,9 +97,10 @@ impl Latent for HollowWheels {
                 list
             })
             .collect();
+        let shown = Shown::simulated(scene)?;
         Some(LatentFit {
             gain,
-            parameters: two.parameters(learnt.len()),
+            parameters: two.parameters(learnt.len(), &shown),
             wheel_share: Some(two.share),
             traces: scene.spread(&windows),
             windows,
@@ -107,30 +114,50 @@ fn plain_columns(scene: &Scene, passage: usize, axle: usize) -> Mat<f64> {
     Mat::from_fn(moves.depth.len(), 2, |k, c| if c == 0 { moves.depth[k] } else { moves.shift[k] })
 }
 
+/// Least squares for depth and shift of both wheelsets of a bogie in the windows of one passage.
+struct Estimator {
+    factor: Llt<f64>,
+    /// Whitened columns: depth and shift of the front, then of the rear wheelset.
+    columns: Mat<f64>,
+    solver: Llt<f64>,
+}
+
+impl Estimator {
+    fn new(scene: &Scene, passage: usize) -> Option<Self> {
+        let v = &scene.variation;
+        let variation = Variation {
+            depth: WITHOUT.0,
+            shift_m: WITHOUT.1,
+            noise_m_s2: v.noise_m_s2.max(NATURAL.noise_m_s2),
+            load: v.load.min(NATURAL.load),
+            side_load: v.side_load.min(NATURAL.side_load),
+            own_m: v.own_m.min(NATURAL.own_m),
+            own_stock_m: v.own_stock_m.min(NATURAL.own_stock_m),
+        };
+        let factor = scene.shapes[passage].factor(&variation)?;
+        let plain = [0, 1].map(|axle| plain_columns(scene, passage, axle));
+        let columns = whitened(&factor, &Mat::from_fn(plain[0].nrows(), 4, |k, c| plain[c / 2][(k, c % 2)]));
+        let gram = columns.transpose() * &columns;
+        // A wheel is not shifted by more than some decimetres; that also keeps a level path solvable.
+        let gram = Mat::from_fn(4, 4, |i, j| gram[(i, j)] + if i == j { [0.25, 25.0][i % 2] } else { 0.0 });
+        let solver = gram.llt(faer::Side::Lower).ok()?;
+        Some(Self { factor, columns, solver })
+    }
+
+    /// Depth and shift, front and rear, of every window: four rows.
+    fn values(&self, windows: &[Vec<f64>]) -> Mat<f64> {
+        let n = self.columns.nrows();
+        let y = whitened(&self.factor, &Mat::from_fn(n, windows.len(), |k, b| windows[b][k]));
+        self.solver.solve(self.columns.transpose() * &y)
+    }
+}
+
 /// Depth and shift of all wheelsets of a passage, both axles of a bogie together.
 fn own(scene: &Scene, passage: usize) -> Vec<Own> {
-    let v = &scene.variation;
-    let variation = Variation {
-        depth: WITHOUT.0,
-        shift_m: WITHOUT.1,
-        noise_m_s2: v.noise_m_s2.max(NATURAL.noise_m_s2),
-        load: v.load.min(NATURAL.load),
-        side_load: v.side_load.min(NATURAL.side_load),
-        own_m: v.own_m.min(NATURAL.own_m),
-        own_stock_m: v.own_stock_m.min(NATURAL.own_stock_m),
-    };
-    let Some(factor) = scene.shapes[passage].factor(&variation) else { return Vec::new() };
-    let columns = [0, 1].map(|axle| plain_columns(scene, passage, axle));
-    let n = columns[0].nrows();
-    let x = whitened(&factor, &Mat::from_fn(n, 4, |k, c| columns[c / 2][(k, c % 2)]));
+    let Some(estimator) = Estimator::new(scene, passage) else { return Vec::new() };
     let residuals = &scene.residuals[passage];
-    let y = whitened(&factor, &Mat::from_fn(n, residuals.len(), |k, b| residuals[b][k]));
-    let gram = x.transpose() * &x;
-    // A wheel is not shifted by more than some decimetres; that also keeps a level path solvable.
-    let gram = Mat::from_fn(4, 4, |i, j| gram[(i, j)] + if i == j { [0.25, 25.0][i % 2] } else { 0.0 });
-    let Ok(solver) = gram.llt(faer::Side::Lower) else { return Vec::new() };
-    let values = solver.solve(x.transpose() * &y);
-    let covariance = solver.solve(Mat::<f64>::identity(4, 4));
+    let values = estimator.values(residuals);
+    let covariance = estimator.solver.solve(Mat::<f64>::identity(4, 4));
     (0..residuals.len())
         .flat_map(|bogie| {
             [0, 1].map(|axle| {
@@ -145,6 +172,79 @@ fn own(scene: &Scene, passage: usize) -> Vec<Own> {
             })
         })
         .collect()
+}
+
+/// What wheels of known depth and shift show: a wheel that leaves the rail, or meets the transition some centimetres elsewhere, is
+/// not linear in either.
+struct Shown {
+    /// Per depth factor and shift: depth and shift that the estimator finds.
+    found: Vec<Vec<[f64; 2]>>,
+}
+
+/// Depth factors and shifts (metres) simulated.
+const FACTORS: [f64; 9] = [0.3, 0.6, 1.0, 1.4, 1.8, 2.2, 2.7, 3.3, 4.0];
+const SHIFTS_M: [f64; 9] = [-0.12, -0.08, -0.05, -0.025, 0.0, 0.025, 0.05, 0.08, 0.12];
+/// Steps between two that are simulated.
+const BETWEEN: usize = 10;
+/// What differences of depth and shift weigh when a wheel is looked up.
+const WEIGHED: [f64; 2] = [0.05, 5e-3];
+/// Hollow wheels are carried over about this far later or earlier, metres: wheels shifted much farther can show the same.
+const LIKELY_SHIFT_M: f64 = 0.05;
+
+impl Shown {
+    /// Front wheels in the training passage of middle speed.
+    fn simulated(scene: &Scene) -> Option<Self> {
+        let mut order = scene.train.to_vec();
+        order.sort_by(|a, b| scene.observed[*a].speed_m_s.total_cmp(&scene.observed[*b].speed_m_s));
+        let middle = order[order.len() / 2];
+        let o = &scene.observed[middle];
+        let estimator = Estimator::new(scene, middle)?;
+        let simulator = Simulator::new(scene.world, o.axle_load_kg).ok()?;
+        let here = simulator.response(o.speed_m_s).ok()?;
+        let found = FACTORS
+            .into_par_iter()
+            .map(|factor| {
+                let windows = SHIFTS_M
+                    .iter()
+                    .map(|shift_m| {
+                        let own = simulator.with_own_path(0, factor, *shift_m);
+                        let added = own.response(o.speed_m_s).ok()?.less(&here, 1.0);
+                        Some((0..o.mean.len()).map(|k| added.at(o.first_s + k as f64 / RATE_HZ)).collect())
+                    })
+                    .collect::<Option<Vec<Vec<f64>>>>()?;
+                let values = estimator.values(&windows);
+                Some((0..SHIFTS_M.len()).map(|j| [values[(0, j)], values[(1, j)]]).collect())
+            })
+            .collect::<Option<Vec<_>>>()?;
+        Some(Self { found })
+    }
+
+    /// Depth factor and shift (metres) of a wheel that shows `value`.
+    fn of(&self, value: [f64; 2]) -> [f64; 2] {
+        let fine = |values: &[f64], i: usize| {
+            let (k, t) = (i / BETWEEN, (i % BETWEEN) as f64 / BETWEEN as f64);
+            if t == 0.0 { values[k] } else { values[k] + t * (values[k + 1] - values[k]) }
+        };
+        let along = |row: &[[f64; 2]], j: usize, c: usize| {
+            let column: Vec<f64> = row.iter().map(|v| v[c]).collect();
+            fine(&column, j)
+        };
+        let mut best = (f64::INFINITY, [1.0, 0.0]);
+        for i in 0..=BETWEEN * (FACTORS.len() - 1) {
+            for j in 0..=BETWEEN * (SHIFTS_M.len() - 1) {
+                let off = |c: usize| {
+                    let column: Vec<f64> = self.found.iter().map(|row| along(row, j, c)).collect();
+                    (fine(&column, i) - value[c]) / WEIGHED[c]
+                };
+                let unlikely = fine(&SHIFTS_M, j) / LIKELY_SHIFT_M;
+                let distance = off(0).powi(2) + off(1).powi(2) + unlikely * unlikely;
+                if distance < best.0 {
+                    best = (distance, [fine(&FACTORS, i), fine(&SHIFTS_M, j)]);
+                }
+            }
+        }
+        best.1
+    }
 }
 
 /// Two groups of wheelsets; a single one has share 0.
@@ -193,13 +293,18 @@ impl Mixture {
             .map(|s| s.fitted(list, Tie::SameSpread).fitted(list, Tie::Free))
             .filter(|m| m.share > 0.02 && m.share < 0.75)
             .max_by(|a, b| a.score(list).total_cmp(&b.score(list)))
-            .map(Self::minority_second)
+            .map(Self::natural_first)
     }
 
-    /// Natural wheels are the majority.
-    fn minority_second(self) -> Self {
+    /// Natural wheels are the majority; where neither group clearly is, those that are nearer to what the scan says.
+    fn natural_first(self) -> Self {
+        let away = self.mean.map(|[depth, _]| depth.abs());
+        let second_is_natural = match (self.share - 0.5).abs() < EVEN {
+            true => away[1] < away[0],
+            false => self.share > 0.5,
+        };
         let swapped = |[a, b]: [[f64; 2]; 2]| [b, a];
-        match self.share > 0.5 {
+        match second_is_natural {
             true => Self { mean: swapped(self.mean), sd: swapped(self.sd), share: 1.0 - self.share },
             false => self,
         }
@@ -275,15 +380,20 @@ impl Mixture {
     }
 
     /// Depth and shift of the second group beside the first, and its share.
-    fn parameters(&self, count: usize) -> Vec<(&'static str, f64, f64, f64)> {
-        let off = |k: usize| self.mean[1][k] - self.mean[0][k];
-        let members = self.share * count as f64;
-        let half = |k: usize| 1.645 * self.sd[1][k] / members.max(1.0).sqrt() + LINEAR_ERROR * off(k).abs();
-        let depth = 1.0 + off(0);
+    fn parameters(&self, count: usize, shown: &Shown) -> Vec<(&'static str, f64, f64, f64)> {
+        let off = [0, 1].map(|k| self.mean[1][k] - self.mean[0][k]);
+        let [depth, shift_m] = shown.of(off);
+        let members = (self.share * count as f64).max(1.0);
+        // By how much more a wheel does than it shows; what all wheels show beside the scan may be depth or not.
+        let scale = ((depth - 1.0) / off[0]).abs().clamp(1.0, 3.0);
+        let depth_half = LINEAR_ERROR * (depth - 1.0).abs()
+            + scale * (1.645 * self.sd[1][0] / members.sqrt() + self.mean[0][0].abs());
+        let shift_half =
+            LINEAR_ERROR * shift_m.abs() + LEAST_SHIFT_M + 1.645 * self.sd[1][1] / members.sqrt();
         let share_half = 1.645 * (self.share * (1.0 - self.share) / count as f64).sqrt() + 0.05;
         vec![
-            ("depth_factor", depth, depth - half(0), depth + half(0)),
-            ("shift_m", off(1), off(1) - half(1), off(1) + half(1)),
+            ("depth_factor", depth, (depth - depth_half).max(0.0), depth + depth_half),
+            ("shift_m", shift_m, shift_m - shift_half, shift_m + shift_half),
             ("share", self.share, (self.share - share_half).max(0.0), (self.share + share_half).min(1.0)),
         ]
     }
@@ -317,6 +427,21 @@ mod tests {
         let two = Mixture::groups(&plain, list).unwrap_or(plain);
         let wide = Mixture::scales(&plain, list);
         (two.score(list) - plain.score(list).max(wide.score(list)) - CHOICE, two)
+    }
+
+    /// Depth shows at half its size and less the farther the wheel is shifted, as simulations have it.
+    #[test]
+    fn analytic_wheels_are_looked_up_by_what_they_show() {
+        let shows = |factor: f64, shift_m: f64| {
+            let near = 1.0 - (shift_m / 0.1).powi(2);
+            [(0.5 * near) * (factor - 1.0) - 0.3 * (1.0 - near), 0.4 * factor * shift_m]
+        };
+        let found = FACTORS.iter().map(|f| SHIFTS_M.iter().map(|s| shows(*f, *s)).collect()).collect();
+        let shown = Shown { found };
+        for (factor, shift_m) in [(2.45, 0.02), (1.3, -0.04), (1.0, 0.0)] {
+            let [f, s] = shown.of(shows(factor, shift_m));
+            assert!((f - factor).abs() < 0.06 && (s - shift_m).abs() < 0.004, "{f} {s}");
+        }
     }
 
     #[test]

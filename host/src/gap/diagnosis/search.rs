@@ -163,7 +163,7 @@ impl Session<'_> {
             self.accept(&list[k..], &mut tried, &mut latent)?;
             if self.confirm(earlier, list[k].relief)? {
                 self.prune()?;
-                if self.accepted.len() > earlier.accepted {
+                if list[k].acts_on == ActsOn::Panel {
                     self.review_wheels()?;
                 }
                 return Ok(true);

@@ -22,7 +22,7 @@ use super::data::Observed;
 use super::effect::Effect;
 use super::forward::{Response, Simulator};
 use super::linear::BogieResponses;
-use super::world::World;
+use super::world::{SensorModel, World};
 use crate::ballast::BallastParameters;
 
 /// Everything that stays fixed during the fits of one site.
@@ -256,7 +256,8 @@ pub fn fit(
     let mut columns = derivatives(frame, effects, &state, subset, &here)?;
     let mut fresh = true;
     for step in 0..options.steps {
-        let linear = whiten(frame, subset, &columns, &here.residuals);
+        let sensor = state.world(frame, effects).sensor;
+        let linear = whiten(frame, sensor, subset, &columns, &here.residuals);
         let solution = solve(frame, effects, &state, &shape, &linear, subset)?;
         let next = descend(frame, effects, &state, &solution, subset, here.cost);
         let gained = next.as_ref().map_or(0.0, |(_, e)| here.cost - e.cost);
@@ -275,7 +276,8 @@ pub fn fit(
             fresh = true;
         }
     }
-    let linear = whiten(frame, subset, &columns, &here.residuals);
+    let sensor = state.world(frame, effects).sensor;
+    let linear = whiten(frame, sensor, subset, &columns, &here.residuals);
     finish(frame, effects, state, &shape, linear, here.cost, subset)
 }
 
@@ -379,15 +381,23 @@ fn forward_solved(lower: MatRef<'_, f64>, columns: &Mat<f64>) -> Mat<f64> {
     out
 }
 
-fn whiten(frame: &Frame, subset: &[usize], columns: &[Mat<f64>], residuals: &[Vec<f64>]) -> Linearised {
+/// The responses to the path are those of a well mounted sensor; what `sensor` is mounted on stands between them and the
+/// recording.
+fn whiten(
+    frame: &Frame,
+    sensor: SensorModel,
+    subset: &[usize],
+    columns: &[Mat<f64>],
+    residuals: &[Vec<f64>],
+) -> Linearised {
     let (passages, own) = subset
         .par_iter()
         .zip(columns)
         .zip(residuals)
         .map(|((i, columns), residual)| {
-            let r = &frame.responses[*i];
-            let (n, m, q) = (residual.len(), r.both.ncols(), columns.ncols());
-            let all = Mat::from_fn(n, m + q, |k, c| if c < m { r.both[(k, c)] } else { columns[(k, c - m)] });
+            let path = sensor.through_mount(&frame.responses[*i].both);
+            let (n, m, q) = (residual.len(), path.ncols(), columns.ncols());
+            let all = Mat::from_fn(n, m + q, |k, c| if c < m { path[(k, c)] } else { columns[(k, c - m)] });
             let factor = &frame.factors[*i];
             let white = whitened(factor, &all);
             let own = Mat::from_fn(n, 1, |k, _| white[(k, m + 3)]);

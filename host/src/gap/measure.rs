@@ -283,6 +283,36 @@ mod tests {
         }
     }
 
+    /// Two bogies that differ a little, a base model that misses half of what they share, and a correction that is another one
+    /// for each bogie.
+    #[test]
+    fn property_effect_that_is_not_there_does_not_raise_the_floor() {
+        let len = 400;
+        let wave = |k: usize, f_hz: f64| (std::f64::consts::TAU * f_hz * k as f64 / RATE_HZ).sin();
+        let bogie = |k: usize| if k < len { 1.0 } else { -1.0 };
+        let curve = |f: &dyn Fn(usize) -> f64| -> Vec<f64> { (0..2 * len).map(f).collect() };
+        let measured = curve(&|k| 2.0 * wave(k % len, 20.0) + 0.1 * bogie(k) * wave(k % len, 30.0));
+        let base = curve(&|k| 1.0 * wave(k % len, 20.0));
+        let wrong = curve(&|k| base[k] + 3.0 * bogie(k) * wave(k % len, 25.0));
+        let gap = |corrected: &Vec<f64>| {
+            let acceleration = [measured.clone(), base.clone(), corrected.clone()];
+            let displacement = acceleration.each_ref().map(|a| displacement(a));
+            let windows = (vec![0, len], len);
+            let (passage_id, speed_m_s, first_m) = (1, 40.0, 0.0);
+            let p = Prediction { passage_id, speed_m_s, acceleration, displacement, windows, first_m };
+            measure(&[p], true)
+        };
+        let (with, without) = (gap(&wrong), gap(&base));
+        assert!(
+            with.noise_floor <= without.noise_floor + 1e-12,
+            "{} {}",
+            with.noise_floor,
+            without.noise_floor
+        );
+        assert!(with.closed_fraction_ci90[1] < -1.0, "{:?}", with.closed_fraction_ci90);
+        assert!(without.closed_fraction.abs() < 1e-12);
+    }
+
     #[test]
     fn analytic_floor_leaves_out_what_bogies_share() {
         // Four windows of 2: common part 3, own parts ±1.

@@ -1,11 +1,13 @@
 //! What the diagnosis assumes of a site: everything that the forward simulation needs, as plain values.
 
-use faer::c64;
+use faer::{Mat, c64};
 
+use super::data::RATE_HZ;
 use super::splines::PathSplines;
 use crate::ballast::BallastParameters;
 use crate::passage::Profile;
 use crate::recording::Crossing;
+use crate::signal::{irfft, rfft, rfft_frequencies_hz};
 use crate::track::Side;
 
 /// Site as assumed. The base model has all deviations at nought; an effect changes some of them.
@@ -131,6 +133,28 @@ impl SensorModel {
         }
     }
 
+    /// What the mount makes of windows at [`RATE_HZ`], one per column. A light mount rings for some hundredths of a second, so that
+    /// zeros follow the window while it does.
+    pub fn through_mount(&self, windows: &Mat<f64>) -> Mat<f64> {
+        if self.mount.is_none() {
+            return windows.clone();
+        }
+        let n = windows.nrows();
+        let padded = (n + n / 2).next_multiple_of(2);
+        let gains: Vec<c64> =
+            rfft_frequencies_hz(padded, RATE_HZ).into_iter().map(|f| self.mounted(f)).collect();
+        let mut out = windows.clone();
+        for c in 0..windows.ncols() {
+            let mut column = windows.col_as_slice(c).to_vec();
+            column.resize(padded, 0.0);
+            let mut spectrum = rfft(&column);
+            spectrum.iter_mut().zip(&gains).for_each(|(v, g)| *v *= *g);
+            let ringing = irfft(&spectrum, padded);
+            (0..n).for_each(|k| out[(k, c)] = ringing[k]);
+        }
+        out
+    }
+
     /// Sensitivity at a temperature.
     pub fn gain_at(&self, temperature_c: f64) -> f64 {
         self.gain + self.gain_per_kelvin * (temperature_c - REFERENCE_C)
@@ -140,6 +164,20 @@ impl SensorModel {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// In the middle of a long window the steady answer to a wave has died in: |1 + 2iζr| / |1 − r² + 2iζr|.
+    #[test]
+    fn analytic_mount_amplifies_a_wave_by_its_gain() {
+        let sensor = SensorModel { mount: Some((282.0, 0.08)), ..SensorModel::default() };
+        for f_hz in [50.0, 240.0] {
+            let wave = Mat::from_fn(400, 1, |k, _| (std::f64::consts::TAU * f_hz * k as f64 / RATE_HZ).sin());
+            let out = sensor.through_mount(&wave);
+            let rms = |m: &Mat<f64>| crate::signal::rms(&m.col_as_slice(0)[160..240]);
+            let (r, d): (f64, f64) = (f_hz / 282.0, 2.0 * 0.08 * f_hz / 282.0);
+            let expected = ((1.0 + d * d) / ((1.0 - r * r).powi(2) + d * d)).sqrt();
+            assert!((rms(&out) / rms(&wave) / expected - 1.0).abs() < 0.02, "{f_hz} {expected}");
+        }
+    }
 
     /// The mean of cos k(x − s) over Gaussian shifts s of standard deviation σ is exp(−k²σ²/2) cos kx.
     #[test]

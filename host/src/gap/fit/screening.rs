@@ -93,7 +93,8 @@ pub fn screen(
             })
         })
         .collect();
-    let linear = whiten(frame, subset, &both, &here.residuals);
+    let sensor = state.world(frame, accepted).sensor;
+    let linear = whiten(frame, sensor, subset, &both, &here.residuals);
     let (information, vector) = reduced(frame, accepted, state, subset, &linear, columns.len())?;
     Ok(Screening { directions, information, vector, prior_sd })
 }

@@ -385,7 +385,7 @@ impl Mixture {
         let [depth, shift_m] = shown.of(off);
         let members = (self.share * count as f64).max(1.0);
         // By how much more a wheel does than it shows; what all wheels show beside the scan may be depth or not.
-        let scale = ((depth - 1.0) / off[0]).abs().clamp(1.0, 3.0);
+        let scale = ((depth - 1.0).abs() / off[0].abs().max(f64::MIN_POSITIVE)).clamp(1.0, 3.0);
         let depth_half = LINEAR_ERROR * (depth - 1.0).abs()
             + scale * (1.645 * self.sd[1][0] / members.sqrt() + self.mean[0][0].abs());
         let shift_half =

@@ -7,7 +7,7 @@ use clap::Args;
 
 use super::output::{print, print_json, warn_skipped};
 use super::progress::Bar;
-use crate::gap::consequences::{ConsequenceError, consequences};
+use crate::gap::consequences::{ConsequenceError, Consequences, consequences};
 use crate::gap::diagnosis::{DiagnoseOptions, Diagnosis, diagnose};
 use crate::gap::hammer::{BAND_HZ, Hammer};
 use crate::gap::receptance::read_receptance;
@@ -106,6 +106,12 @@ fn summary(d: &Diagnosis) -> String {
                 e.indistinguishable_from.join(", ")
             ));
         }
+    }
+    for (name, change) in d.consequences.iter().flat_map(Consequences::rows) {
+        text.push_str(&format!(
+            "with effects  {name}: {:.1} instead of {:.1}\n",
+            change.with, change.without
+        ));
     }
     for r in &d.remarks {
         text.push_str(&format!("note          {r}\n"));

@@ -29,6 +29,19 @@ pub struct Consequences {
     pub ballast_p2_n_m2: Change,
 }
 
+impl Consequences {
+    /// Captions with units, and values in those units.
+    pub fn rows(&self) -> [(&'static str, Change); 4] {
+        let scaled = |c: Change, by: f64| Change { without: by * c.without, with: by * c.with };
+        [
+            ("force peak, kN", scaled(self.peak_force_n, 1e-3)),
+            ("irregularity, \u{b5}m RMS", scaled(self.irregularity_rms_m, 1e6)),
+            ("ballast outside, MN/m\u{b2}", scaled(self.ballast_p1_n_m2, 1e-6)),
+            ("ballast under the crossing, MN/m\u{b2}", scaled(self.ballast_p2_n_m2, 1e-6)),
+        ]
+    }
+}
+
 /// Why the consequences of a diagnosis cannot be told.
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs)]

@@ -120,17 +120,12 @@ fn effects(d: &Diagnosis) -> String {
 
 fn consequences(d: &Diagnosis) -> String {
     let Some(c) = &d.consequences else { return String::new() };
-    let row = |name: &str, change: &Change, scale: f64| {
+    let row = |(name, change): (&str, Change)| {
         let moved = 100.0 * (change.with / change.without - 1.0);
-        let value = |v: f64| format!("{:.1}", scale * v);
+        let value = |v: f64| format!("{v:.1}");
         vec![name.into(), value(change.without), value(change.with), format!("{moved:+.1} %")]
     };
-    let rows = [
-        row("force peak, kN", &c.peak_force_n, 1e-3),
-        row("irregularity, \u{b5}m RMS", &c.irregularity_rms_m, 1e6),
-        row("ballast outside, MN/m\u{b2}", &c.ballast_p1_n_m2, 1e-6),
-        row("ballast under the crossing, MN/m\u{b2}", &c.ballast_p2_n_m2, 1e-6),
-    ];
+    let rows = c.rows().map(row);
     format!(
         "<h2>What it changes</h2>\n{}",
         table(&["result", "without", "with the effects", "change"], &rows)

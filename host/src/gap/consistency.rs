@@ -3,6 +3,7 @@
 use faer::Mat;
 
 use super::data::{Observed, RATE_HZ};
+use crate::signal::dot;
 
 /// Passages that do not resemble the others.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -71,12 +72,12 @@ fn window_along(o: &Observed) -> Vec<f64> {
 
 /// Largest correlation within the shift allowed.
 fn resemblance(a: &[f64], b: &[f64]) -> f64 {
-    let norm = |v: &[f64]| v.iter().map(|x| x * x).sum::<f64>().sqrt();
+    let norm = |v: &[f64]| dot(v, v).sqrt();
     let scale = (norm(a) * norm(b)).max(f64::MIN_POSITIVE);
     (-SHIFT..=SHIFT)
         .map(|s| {
             let (x, y) = if s >= 0 { (&a[s as usize..], b) } else { (a, &b[-s as usize..]) };
-            x.iter().zip(y).map(|(x, y)| x * y).sum::<f64>() / scale
+            dot(x, y) / scale
         })
         .fold(f64::NEG_INFINITY, f64::max)
 }

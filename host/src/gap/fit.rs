@@ -172,6 +172,7 @@ fn mean_windows(
 
 /// Simulation of the passages in a state.
 struct Evaluation {
+    sensor: SensorModel,
     responses: Vec<Response>,
     predicted: Vec<Vec<f64>>,
     residuals: Vec<Vec<f64>>,
@@ -194,7 +195,7 @@ impl Evaluation {
             .map(|(i, p)| frame.observed[*i].mean.iter().zip(p).map(|(m, p)| m - p).collect())
             .collect();
         let cost = cost(frame, effects, state, subset, &residuals);
-        Ok(Self { responses, predicted, residuals, cost })
+        Ok(Self { sensor: world.sensor, responses, predicted, residuals, cost })
     }
 }
 
@@ -256,8 +257,7 @@ pub fn fit(
     let mut columns = derivatives(frame, effects, &state, subset, &here)?;
     let mut fresh = true;
     for step in 0..options.steps {
-        let sensor = state.world(frame, effects).sensor;
-        let linear = whiten(frame, sensor, subset, &columns, &here.residuals);
+        let linear = whiten(frame, subset, &columns, &here);
         let solution = solve(frame, effects, &state, &shape, &linear, subset)?;
         let next = descend(frame, effects, &state, &solution, subset, here.cost);
         let gained = next.as_ref().map_or(0.0, |(_, e)| here.cost - e.cost);
@@ -276,8 +276,7 @@ pub fn fit(
             fresh = true;
         }
     }
-    let sensor = state.world(frame, effects).sensor;
-    let linear = whiten(frame, sensor, subset, &columns, &here.residuals);
+    let linear = whiten(frame, subset, &columns, &here);
     finish(frame, effects, state, &shape, linear, here.cost, subset)
 }
 
@@ -381,21 +380,14 @@ fn forward_solved(lower: MatRef<'_, f64>, columns: &Mat<f64>) -> Mat<f64> {
     out
 }
 
-/// The responses to the path are those of a well mounted sensor; what `sensor` is mounted on stands between them and the
-/// recording.
-fn whiten(
-    frame: &Frame,
-    sensor: SensorModel,
-    subset: &[usize],
-    columns: &[Mat<f64>],
-    residuals: &[Vec<f64>],
-) -> Linearised {
+/// The responses to the path are those of a well mounted sensor; what it is mounted on stands between them and the recording.
+fn whiten(frame: &Frame, subset: &[usize], columns: &[Mat<f64>], here: &Evaluation) -> Linearised {
     let (passages, own) = subset
         .par_iter()
         .zip(columns)
-        .zip(residuals)
+        .zip(&here.residuals)
         .map(|((i, columns), residual)| {
-            let path = sensor.through_mount(&frame.responses[*i].both);
+            let path = here.sensor.through_mount(&frame.responses[*i].both);
             let (n, m, q) = (residual.len(), path.ncols(), columns.ncols());
             let all = Mat::from_fn(n, m + q, |k, c| if c < m { path[(k, c)] } else { columns[(k, c - m)] });
             let factor = &frame.factors[*i];
@@ -528,7 +520,7 @@ fn finish(
 }
 
 fn dot(a: &Mat<f64>, b: &Mat<f64>) -> f64 {
-    a.col_as_slice(0).iter().zip(b.col_as_slice(0)).map(|(x, y)| x * y).sum()
+    crate::signal::dot(a.col_as_slice(0), b.col_as_slice(0))
 }
 
 fn squared(a: &Mat<f64>) -> f64 {

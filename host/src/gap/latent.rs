@@ -145,6 +145,13 @@ impl<'a> Scene<'a> {
             .collect()
     }
 
+    /// The one of some passages, at least one, whose speed is in the middle.
+    pub fn of_middle_speed(&self, mut passages: Vec<usize>) -> usize {
+        let speed = |i: &usize| self.observed[*i].speed_m_s;
+        passages.sort_by(|a, b| speed(a).total_cmp(&speed(b)));
+        passages[passages.len() / 2]
+    }
+
     /// Spreads window contributions over the recordings.
     pub fn spread(&self, windows: &[Vec<Vec<f64>>]) -> Vec<Vec<f64>> {
         self.observed

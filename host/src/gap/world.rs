@@ -1,5 +1,7 @@
 //! What the diagnosis assumes of a site: everything that the forward simulation needs, as plain values.
 
+use std::borrow::Cow;
+
 use faer::{Mat, c64};
 
 use super::data::RATE_HZ;
@@ -135,9 +137,9 @@ impl SensorModel {
 
     /// What the mount makes of windows at [`RATE_HZ`], one per column. A light mount rings for some hundredths of a second, so that
     /// zeros follow the window while it does.
-    pub fn through_mount(&self, windows: &Mat<f64>) -> Mat<f64> {
+    pub fn through_mount<'a>(&self, windows: &'a Mat<f64>) -> Cow<'a, Mat<f64>> {
         if self.mount.is_none() {
-            return windows.clone();
+            return Cow::Borrowed(windows);
         }
         let n = windows.nrows();
         let padded = (n + n / 2).next_multiple_of(2);
@@ -152,7 +154,7 @@ impl SensorModel {
             let ringing = irfft(&spectrum, padded);
             (0..n).for_each(|k| out[(k, c)] = ringing[k]);
         }
-        out
+        Cow::Owned(out)
     }
 
     /// Sensitivity at a temperature.

@@ -133,8 +133,12 @@ impl Session<'_> {
         }
         if let Some(k) = self.accepted.iter().position(|e| e.name() == name) {
             self.accepted.remove(k);
-            self.fit = self.fit.take().filter(|_| !self.accepted.is_empty());
-            self.fit.iter_mut().for_each(|fit| drop(fit.state.effects.remove(k)));
+            if let Some(fit) = &mut self.fit {
+                fit.state.effects.remove(k);
+            }
+            if self.accepted.is_empty() {
+                self.fit = None;
+            }
         }
         self.final_fit()
     }

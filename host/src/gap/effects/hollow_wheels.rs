@@ -194,9 +194,7 @@ const LIKELY_SHIFT_M: f64 = 0.05;
 impl Shown {
     /// Front wheels in the training passage of middle speed.
     fn simulated(scene: &Scene) -> Option<Self> {
-        let mut order = scene.train.to_vec();
-        order.sort_by(|a, b| scene.observed[*a].speed_m_s.total_cmp(&scene.observed[*b].speed_m_s));
-        let middle = order[order.len() / 2];
+        let middle = scene.of_middle_speed(scene.train.to_vec());
         let o = &scene.observed[middle];
         let estimator = Estimator::new(scene, middle)?;
         let simulator = Simulator::new(scene.world, o.axle_load_kg).ok()?;
@@ -230,13 +228,12 @@ impl Shown {
             fine(&column, j)
         };
         let mut best = (f64::INFINITY, [1.0, 0.0]);
-        for i in 0..=BETWEEN * (FACTORS.len() - 1) {
-            for j in 0..=BETWEEN * (SHIFTS_M.len() - 1) {
-                let off = |c: usize| {
-                    let column: Vec<f64> = self.found.iter().map(|row| along(row, j, c)).collect();
-                    (fine(&column, i) - value[c]) / WEIGHED[c]
-                };
-                let unlikely = fine(&SHIFTS_M, j) / LIKELY_SHIFT_M;
+        for j in 0..=BETWEEN * (SHIFTS_M.len() - 1) {
+            let of_factors =
+                [0, 1].map(|c| -> Vec<f64> { self.found.iter().map(|row| along(row, j, c)).collect() });
+            let unlikely = fine(&SHIFTS_M, j) / LIKELY_SHIFT_M;
+            for i in 0..=BETWEEN * (FACTORS.len() - 1) {
+                let off = |c: usize| (fine(&of_factors[c], i) - value[c]) / WEIGHED[c];
                 let distance = off(0).powi(2) + off(1).powi(2) + unlikely * unlikely;
                 if distance < best.0 {
                     best = (distance, [fine(&FACTORS, i), fine(&SHIFTS_M, j)]);

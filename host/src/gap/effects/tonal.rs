@@ -29,7 +29,8 @@ const LEAST_HZ: f64 = 0.02;
 /// Train-free ends of a recording, each less its mean.
 struct Quiet {
     ends: [End; 2],
-    variance: f64,
+    /// Sum of squares.
+    energy: f64,
 }
 
 /// One train-free end.
@@ -52,17 +53,16 @@ impl Quiet {
         for end in &mut ends {
             centre(&mut end.value);
         }
-        let mut quiet = Self { ends, variance: 0.0 };
-        quiet.variance = quiet.energy() / quiet.len().max(1) as f64;
-        quiet
+        let energy = ends.iter().map(|e| dot(&e.value, &e.value)).sum();
+        Self { ends, energy }
     }
 
     fn len(&self) -> usize {
         self.ends.iter().map(|e| e.value.len()).sum()
     }
 
-    fn energy(&self) -> f64 {
-        self.ends.iter().map(|e| dot(&e.value, &e.value)).sum()
+    fn variance(&self) -> f64 {
+        self.energy / self.len().max(1) as f64
     }
 
     /// Cosine and sine amplitude at a frequency by least squares, and what they take off the sum of squares.
@@ -90,7 +90,7 @@ impl Quiet {
 
     /// Log likelihood ratio with the best sinusoid at a frequency.
     fn gain(&self, f_hz: f64) -> f64 {
-        let all = self.energy();
+        let all = self.energy;
         let left = (all - self.amplitudes(f_hz).1).max(LEAST_LEFT * all);
         // Band-limited noise has fewer independent values than samples.
         let n = self.len() as f64 * 2.0 * BAND_HZ[1] / RATE_HZ;
@@ -148,7 +148,7 @@ impl Latent for Tonal {
         }
         let squares: Vec<f64> =
             learnt.iter().map(|q| q.amplitudes(frequency).0).map(|[c, s]| c * c + s * s).collect();
-        let sampling = learnt.iter().map(|q| 4.0 * q.variance / q.len().max(1) as f64);
+        let sampling = learnt.iter().map(|q| 4.0 * q.variance() / q.len().max(1) as f64);
         let noise = sampling.sum::<f64>() / scene.train.len().max(1) as f64;
         let amplitude = (crate::signal::mean(&squares) - noise).max(0.0).sqrt();
         let sd = (noise / scene.train.len().max(1) as f64).sqrt().max(0.01 * amplitude);

@@ -225,9 +225,7 @@ fn interval(shown: &[Shown], area: f64, share: f64, score: f64) -> (f64, f64) {
 /// Area that the linear response would need for what a flat of each length does: a wheel does not follow a long flat, so it
 /// grows more slowly than ℓ³.
 fn areas_of_lengths(scene: &Scene, paths: &[Vec<f64>]) -> Option<Vec<(f64, f64)>> {
-    let mut order: Vec<usize> = (0..scene.observed.len()).collect();
-    order.sort_by(|a, b| scene.observed[*a].speed_m_s.total_cmp(&scene.observed[*b].speed_m_s));
-    let middle = order[order.len() / 2];
+    let middle = scene.of_middle_speed((0..scene.observed.len()).collect());
     let o = &scene.observed[middle];
     let simulator = Simulator::new(scene.world, o.axle_load_kg).ok()?;
     let here = simulator.response(o.speed_m_s).ok()?;

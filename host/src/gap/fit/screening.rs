@@ -93,8 +93,7 @@ pub fn screen(
             })
         })
         .collect();
-    let sensor = state.world(frame, accepted).sensor;
-    let linear = whiten(frame, sensor, subset, &both, &here.residuals);
+    let linear = whiten(frame, subset, &both, &here);
     let (information, vector) = reduced(frame, accepted, state, subset, &linear, columns.len())?;
     Ok(Screening { directions, information, vector, prior_sd })
 }

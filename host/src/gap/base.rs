@@ -237,7 +237,7 @@ pub fn base(
     let factors = rough_factors(&observed);
     let mut frame = Frame { base: world, observed, responses, factors, deviation_root };
     let state = State::start(&frame, &start);
-    let options = FitOptions { steps: 5, renew: 3, tolerance: 3.0 };
+    let options = FitOptions { steps: 5, renew: 3, tolerance: 3.0, damped: false };
     let first = fit(&frame, &[], state, search, options)?;
     // With the ballast about right, a passage that had locked onto a neighbouring wave finds its place.
     let mut state = first.state;
@@ -251,6 +251,18 @@ pub fn base(
     frame.take(&shapes, &variation)?;
     let fit = settled(&frame, &[], second.state, subset)?;
     Ok(Base { frame, fit, variation, shapes, window_m: window })
+}
+
+/// Linearises anew in a given state, and estimates the wheels' variation there.
+pub fn relinearise(
+    base: &mut Base,
+    effects: &[&dyn Effect],
+    state: &State,
+    subset: &[usize],
+) -> Result<(), GapError> {
+    let world = state.world(&base.frame, effects);
+    (base.frame.responses, base.shapes) = linearise(&world, &base.frame.observed)?;
+    fit_variation(base, effects, state, subset)
 }
 
 /// Estimates the wheels' variation anew in a given state.

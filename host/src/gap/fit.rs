@@ -10,7 +10,7 @@ mod screening;
 mod settled;
 
 pub use screening::{Direction, Screening, screen};
-pub use settled::settled;
+pub use settled::{replaced, settled};
 
 use faer::linalg::solvers::{Llt, Solve as _};
 use faer::{Mat, MatRef};
@@ -220,16 +220,18 @@ pub struct FitOptions {
     pub renew: usize,
     /// Ends when the log posterior grows by less.
     pub tolerance: f64,
+    /// Tries damped steps where straight ones are misled.
+    pub damped: bool,
 }
 
 impl FitOptions {
     /// From a start that may be far from the optimum, or for a model that everything else is measured against.
-    pub const THOROUGH: Self = Self { steps: 16, renew: 14, tolerance: 0.5 };
+    pub const THOROUGH: Self = Self { steps: 16, renew: 14, tolerance: 0.5, damped: true };
 }
 
 impl Default for FitOptions {
     fn default() -> Self {
-        Self { steps: 8, renew: 6, tolerance: 0.5 }
+        Self { steps: 8, renew: 6, tolerance: 0.5, damped: true }
     }
 }
 
@@ -258,14 +260,14 @@ pub fn fit(
     let mut fresh = true;
     for step in 0..options.steps {
         let linear = whiten(frame, subset, &columns, &here);
-        let solution = solve(frame, effects, &state, &shape, &linear, subset)?;
-        let next = descend(frame, effects, &state, &solution, subset, here.cost);
+        let normal = normal_equations(frame, effects, &state, &shape, &linear, subset);
+        let next = descend(frame, effects, &state, &normal, subset, (here.cost, options.damped))?;
         let gained = next.as_ref().map_or(0.0, |(_, e)| here.cost - e.cost);
         if let Some((s, e)) = next {
             (state, here) = (s, e);
             fresh = false;
         }
-        if gained <= options.tolerance {
+        if gained <= options.tolerance.max(CONVERGED * here.cost) {
             // Old derivatives may be what stops the descent.
             if fresh || step >= options.renew {
                 break;
@@ -280,20 +282,36 @@ pub fn fit(
     finish(frame, effects, state, &shape, linear, here.cost, subset)
 }
 
-/// First of ever shorter steps that lowers the cost.
+/// A step that promises more than this, nats, and more than this part of the cost, and lowers nothing however short, was misled by
+/// derivatives that hold nearby only.
+const PROMISING: (f64, f64) = (20.0, 5e-3);
+/// A fit ends where a step gains less than this part of its cost.
+const CONVERGED: f64 = 1e-3;
+/// Damping of the steps tried then, relative to the curvature along each unknown: of the path, of the others. The path's derivatives
+/// are those of the site's first world, and the first to mislead.
+const DAMPING: [[f64; 2]; 5] = [[1e9, 0.0], [0.3, 0.3], [3.0, 3.0], [30.0, 30.0], [300.0, 300.0]];
+
+/// First of ever shorter steps that lowers the cost and, where the straight ones are misled, of ever steeper ones (Marquardt 1963).
 fn descend(
     frame: &Frame,
     effects: &[&dyn Effect],
     state: &State,
-    solution: &Solution,
+    normal: &Normal,
     subset: &[usize],
-    cost: f64,
-) -> Option<(State, Evaluation)> {
-    [1.0, 0.35, 0.1].into_iter().find_map(|scale| {
-        let candidate = moved(frame, effects, state, solution, scale, subset);
+    (cost, damped): (f64, bool),
+) -> Result<Option<(State, Evaluation)>, GapError> {
+    let straight = normal.step([0.0; 2])?;
+    let lower = |step: &Step, scale: f64| {
+        let candidate = moved(frame, effects, state, step, scale, subset);
         let evaluation = Evaluation::new(frame, effects, &candidate, subset).ok()?;
         (evaluation.cost < cost).then_some((candidate, evaluation))
-    })
+    };
+    let found = [1.0, 0.35, 0.1].into_iter().find_map(|scale| lower(&straight, scale));
+    let promised = 0.5 * dot(&straight.joint, &normal.vector);
+    if found.is_some() || !damped || promised < PROMISING.0.max(PROMISING.1 * cost) {
+        return Ok(found);
+    }
+    Ok(DAMPING.into_iter().find_map(|damping| lower(&normal.step(damping).ok()?, 1.0)))
 }
 
 /// Negative log posterior.
@@ -400,28 +418,58 @@ fn whiten(frame: &Frame, subset: &[usize], columns: &[Mat<f64>], here: &Evaluati
     Linearised { passages, own }
 }
 
-/// Gauss-Newton step: changes of path, ballast, common shift, effects, and the own shifts.
-struct Solution {
-    step: Mat<f64>,
-    own_m: Vec<f64>,
+/// Normal equations of a Gauss-Newton step in path, ballast, common shift and effects.
+struct Normal {
+    /// Number of the path's unknowns, which come first.
+    path: usize,
     hessian: Mat<f64>,
     vector: Mat<f64>,
+    own: Vec<OwnShift>,
 }
 
-fn solve(
+/// Own shift of one passage, eliminated from the equations: its precision, what couples it to the others, its right side.
+struct OwnShift {
+    precision: f64,
+    coupling: Mat<f64>,
+    value: f64,
+}
+
+/// Changes of path, ballast, common shift, effects, and the own shifts, metres.
+struct Step {
+    joint: Mat<f64>,
+    own_m: Vec<f64>,
+}
+
+impl Normal {
+    /// Step with the curvature along the path's unknowns, and along the others, larger by the parts `damping`.
+    fn step(&self, damping: [f64; 2]) -> Result<Step, GapError> {
+        let n = self.hessian.nrows();
+        let on_diagonal = |i: usize| 1.0 + damping[usize::from(i >= self.path)].max(1e-10);
+        let ridge =
+            Mat::from_fn(n, n, |i, j| self.hessian[(i, j)] * if i == j { on_diagonal(i) } else { 1.0 });
+        let factor = ridge
+            .llt(faer::Side::Lower)
+            .map_err(|_| GapError::Singular { what: "the joint fit of path, ballast and effects" })?;
+        let joint = factor.solve(&self.vector);
+        let own_m = self.own.iter().map(|o| (o.value - dot(&o.coupling, &joint)) / o.precision).collect();
+        Ok(Step { joint, own_m })
+    }
+}
+
+fn normal_equations(
     frame: &Frame,
     effects: &[&dyn Effect],
     state: &State,
     shape: &Shape,
     linear: &Linearised,
     subset: &[usize],
-) -> Result<Solution, GapError> {
+) -> Normal {
     let n = shape.len();
-    let mut information: Mat<f64> = Mat::zeros(n, n);
+    let mut hessian: Mat<f64> = Mat::zeros(n, n);
     let mut vector: Mat<f64> = Mat::zeros(n, 1);
     let common = common_shift(state, subset);
     let precision_own = SHIFT_SD_M.1.powi(-2);
-    let parts: Vec<(Mat<f64>, Mat<f64>, f64, Mat<f64>, f64)> = linear
+    let parts: Vec<(Mat<f64>, Mat<f64>, OwnShift)> = linear
         .passages
         .par_iter()
         .zip(&linear.own)
@@ -433,37 +481,28 @@ fn solve(
             let value = dot(own, &p.residual) - precision_own * (state.shift_m[p.index] - common);
             gram -= &coupling * coupling.transpose() * faer::Scale(1.0 / precision);
             right -= &coupling * faer::Scale(value / precision);
-            (gram, right, precision, coupling, value)
+            (gram, right, OwnShift { precision, coupling, value })
         })
         .collect();
-    for (gram, right, ..) in &parts {
-        information += gram;
+    for (gram, right, _) in &parts {
+        hessian += gram;
         vector += right;
     }
-    add_prior(frame, effects, state, shape, common, &mut information, &mut vector);
-    let ridge = Mat::from_fn(n, n, |i, j| information[(i, j)] * if i == j { 1.0 + 1e-10 } else { 1.0 });
-    let factor = ridge
-        .llt(faer::Side::Lower)
-        .map_err(|_| GapError::Singular { what: "the joint fit of path, ballast and effects" })?;
-    let step = factor.solve(&vector);
-    let own_m = parts
-        .iter()
-        .map(|(_, _, precision, coupling, value)| (value - dot(coupling, &step)) / precision)
-        .collect();
-    Ok(Solution { step, own_m, hessian: information, vector })
+    add_prior(frame, effects, state, shape, common, &mut hessian, &mut vector);
+    Normal { path: shape.path, hessian, vector, own: parts.into_iter().map(|(.., own)| own).collect() }
 }
 
 fn moved(
     frame: &Frame,
     effects: &[&dyn Effect],
     state: &State,
-    solution: &Solution,
+    by: &Step,
     scale: f64,
     subset: &[usize],
 ) -> State {
     let mut next = state.clone();
     let m = frame.deviation_root.nrows();
-    let step = |i: usize| scale * solution.step[(i, 0)];
+    let step = |i: usize| scale * by.joint[(i, 0)];
     for (i, d) in next.deviation_m.iter_mut().enumerate() {
         *d += step(i);
     }
@@ -471,7 +510,7 @@ fn moved(
         let most = BALLAST_STRIDE[k];
         *b += step(m + k).clamp(-most, most);
     }
-    for (i, own) in subset.iter().zip(&solution.own_m) {
+    for (i, own) in subset.iter().zip(&by.own_m) {
         next.shift_m[*i] += step(m + 3) + scale * own;
     }
     let mut at = m + 4;
@@ -495,8 +534,8 @@ fn finish(
     cost: f64,
     subset: &[usize],
 ) -> Result<Fit, GapError> {
-    let solution = solve(frame, effects, &state, shape, &linear, subset)?;
-    let factor = solution
+    let normal = normal_equations(frame, effects, &state, shape, &linear, subset);
+    let factor = normal
         .hessian
         .llt(faer::Side::Lower)
         .map_err(|_| GapError::Singular { what: "the curvature at the best fit" })?;

@@ -76,6 +76,10 @@ pub trait Latent: Sync + Send {
     fn acts_on(&self) -> ActsOn {
         if self.stage() == Stage::Vehicle { ActsOn::Wheels } else { ActsOn::Recordings }
     }
+    /// Whether it is learnt from what is recorded while no train is near, whatever the model.
+    fn learnt_without_trains(&self) -> bool {
+        false
+    }
     /// Looks for the effect; `None` when there is no trace of it.
     fn explore(&self, scene: &Scene) -> Option<LatentFit>;
 }

@@ -2,7 +2,7 @@
 
 use super::GapError;
 use super::effect::{Effect, Hints};
-use super::fit::{Fit, FitOptions, Frame, Screening, State, fit, screen};
+use super::fit::{Fit, FitOptions, Frame, Screening, State, fit, replaced, screen};
 use faer::Mat;
 use faer::linalg::solvers::Solve as _;
 use rayon::prelude::*;
@@ -97,8 +97,9 @@ fn fits_from_afar<'e>(
         .par_iter()
         .map(|(e, ..)| {
             let list = with(*e);
-            let starts = list.last()?.far_starts(hints);
-            scout(frame, &list, std::slice::from_ref(state), &starts, subset)
+            let all = list.last()?.far_starts(hints).iter().map(|c| started(state, c)).collect();
+            let few = few_of(subset);
+            deepest(frame, &list, in_place(frame, &list, all, &few), &few, SCOUT)
         })
         .collect();
     let mut best: Vec<usize> = (0..order.len()).filter(|k| scouted[*k].is_some()).collect();
@@ -115,6 +116,8 @@ fn fits_from_afar<'e>(
         .enumerate()
         .map(|(k, (scouted, (e, ..)))| {
             let start = scouted.as_ref().filter(|_| best.contains(&k))?.state.clone();
+            // Only the few that were scouted are in their places yet.
+            let start = replaced(frame, &with(*e), start, subset);
             fit(frame, &with(*e), start, subset, FitOptions::THOROUGH).ok()
         })
         .collect();
@@ -141,8 +144,8 @@ fn from_every_start(
     if effect.nought().is_some() {
         return None;
     }
-    let starts = effect.far_starts(hints);
-    let best = deepest(frame, list, std::slice::from_ref(state), &starts, subset, VALLEY)?;
+    let all = effect.far_starts(hints).iter().map(|c| started(state, c)).collect();
+    let best = deepest(frame, list, in_place(frame, list, all, subset), subset, VALLEY)?;
     fit(frame, list, best.state, subset, FitOptions::THOROUGH).ok()
 }
 
@@ -168,7 +171,8 @@ fn candidate(
     if (state.ballast[0] - nominal[0]).abs() > FAR {
         states.push(state.on_nominal_ballast());
     }
-    let best = scout(frame, list, &states, all_starts, subset)?;
+    let all = states.iter().flat_map(|s| all_starts.iter().map(|c| started(s, c))).collect();
+    let best = deepest(frame, list, all, &few_of(subset), SCOUT)?;
     fit(frame, list, best.state, subset, FitOptions::THOROUGH).ok()
 }
 
@@ -179,38 +183,34 @@ fn started(state: &State, coordinates: &[f64]) -> State {
     from
 }
 
-/// Best of short fits to a few passages, from all states and starts of the last effect of `list`.
-fn scout(
-    frame: &Frame,
-    list: &[&dyn Effect],
-    states: &[State],
-    starts: &[Vec<f64>],
-    subset: &[usize],
-) -> Option<Fit> {
-    let few: Vec<usize> = subset.iter().copied().step_by(subset.len().div_ceil(SCOUTED).max(1)).collect();
-    deepest(frame, list, states, starts, &few, SCOUT)
+/// States with the passages where the states predict them.
+fn in_place(frame: &Frame, list: &[&dyn Effect], states: Vec<State>, subset: &[usize]) -> Vec<State> {
+    states.into_par_iter().map(|s| replaced(frame, list, s, subset)).collect()
 }
 
-/// Best of the fits from all states and starts of the last effect of `list`.
+/// The passages that are scouted.
+fn few_of(subset: &[usize]) -> Vec<usize> {
+    subset.iter().copied().step_by(subset.len().div_ceil(SCOUTED).max(1)).collect()
+}
+
+/// Best of the fits from all `starts`.
 fn deepest(
     frame: &Frame,
     list: &[&dyn Effect],
-    states: &[State],
-    starts: &[Vec<f64>],
+    starts: Vec<State>,
     subset: &[usize],
     options: FitOptions,
 ) -> Option<Fit> {
-    let all: Vec<State> = states.iter().flat_map(|s| starts.iter().map(|c| started(s, c))).collect();
-    all.into_par_iter().filter_map(|s| fit(frame, list, s, subset, options).ok()).max_by(by_evidence)
+    starts.into_par_iter().filter_map(|s| fit(frame, list, s, subset, options).ok()).max_by(by_evidence)
 }
 
 /// Near the base model the first derivatives hold; what is accepted is fitted again.
-const SMOOTH: FitOptions = FitOptions { steps: 8, renew: 3, tolerance: 0.5 };
+const SMOOTH: FitOptions = FitOptions { steps: 8, renew: 3, tolerance: 0.5, damped: false };
 /// An effect that does not begin smoothly is looked for from all its starts in a few passages first.
-const SCOUT: FitOptions = FitOptions { steps: 6, renew: 3, tolerance: 3.0 };
+const SCOUT: FitOptions = FitOptions { steps: 6, renew: 3, tolerance: 3.0, damped: false };
 const SCOUTED: usize = 3;
 /// As many steps with all passages tell which valley is the deepest.
-const VALLEY: FitOptions = FitOptions { steps: 6, renew: 4, tolerance: 3.0 };
+const VALLEY: FitOptions = FitOptions { steps: 6, renew: 4, tolerance: 3.0, damped: false };
 
 /// Outer stiffness this far from nominal (logarithm) is hardly real.
 const FAR: f64 = 0.7;

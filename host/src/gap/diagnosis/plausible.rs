@@ -47,7 +47,16 @@ impl Session<'_> {
                      something acts that is not in the catalogue"
                 .into(),
         });
-        [path, self.clock_denial(), self.wheels_denial()].into_iter().flatten().collect()
+        let bed = state.odd_bed().then(|| Denial {
+            stage: None,
+            remark: format!(
+                "model and recordings agree only over ballast that changes from sleeper to sleeper around the crossing as hardly a bed \
+                 does (shape p3 {:.2}, 0.2 … 0.6 expected): voids, pads or rail differ from what is known, or something acts that is not \
+                 in the catalogue",
+                state.ballast[2]
+            ),
+        });
+        [path, bed, self.clock_denial(), self.wheels_denial()].into_iter().flatten().collect()
     }
 
     /// The operator's speeds show a wrong clock beyond chance, and no clock error is named.
@@ -125,11 +134,14 @@ fn chance(y: &[f64], x: &[f64], z: &[f64]) -> f64 {
 /// Sizes of an effect must be this many standard deviations away from nought.
 const CLEAR_OF_NOUGHT: f64 = 3.0;
 
-/// Whether the last effect of a fit is larger than what the forward model's own errors can pass for, and than what is
-/// uncertain of it; `inflation` is the squared misfit per value.
-pub(super) fn large_enough(effect: &dyn Effect, fit: &Fit, inflation: f64) -> bool {
-    let (Some(coordinates), Some(nought)) = (fit.state.effects.last(), effect.nought()) else { return true };
-    let first = fit.covariance.nrows() - coordinates.len();
+/// Whether effect `index` of a fit is larger than what the forward model's own errors can pass for, and than what is uncertain of
+/// it; `inflation` is the squared misfit per value.
+pub(super) fn large_enough(effect: &dyn Effect, fit: &Fit, index: usize, inflation: f64) -> bool {
+    let (Some(coordinates), Some(nought)) = (fit.state.effects.get(index), effect.nought()) else {
+        return true;
+    };
+    let from_it_on: usize = fit.state.effects[index..].iter().map(Vec::len).sum();
+    let first = fit.covariance.nrows() - from_it_on;
     let parameters = effect.parameters().iter().zip(coordinates.iter().zip(&nought)).enumerate();
     parameters.take(effect.sizes()).any(|(k, (p, (c, n)))| {
         let sd = (inflation * fit.covariance[(first + k, first + k)].max(0.0)).sqrt();

@@ -1,7 +1,9 @@
 //! Effects named earlier, looked at again once another one is in the model.
 
+use super::plausible::large_enough;
 use super::{LEAST_GAIN, MOST_SURE, Session};
 use crate::gap::GapError;
+use crate::gap::base::relinearise;
 use crate::gap::effect::ActsOn;
 use crate::gap::fit::settled;
 use crate::gap::latent::{Latent, LatentFit};
@@ -17,17 +19,27 @@ impl Session<'_> {
         let mut k = 0;
         while k + 1 < self.accepted.len() {
             let Some(now) = self.fit.as_ref() else { return Ok(()) };
+            let sizeable = large_enough(self.accepted[k], now, k, now.inflation());
             let (mut fewer, mut state) = (self.accepted.clone(), now.state.clone());
             let name = fewer.remove(k).name();
             state.effects.remove(k);
             let without = settled(&self.base.frame, &fewer, state, self.search)?;
-            if now.log_evidence - without.log_evidence > LEAST_GAIN * now.inflation() {
+            if sizeable && now.log_evidence - without.log_evidence > LEAST_GAIN * now.inflation() {
                 k += 1;
                 continue;
             }
             (self.accepted, self.fit) = (fewer, Some(without));
             self.taken_back(name);
         }
+        Ok(())
+    }
+
+    /// Linearises anew around an effect of the panel without which the model was lost: derivatives by the path, and what wheels do by
+    /// nature, were those of another track.
+    pub(super) fn relinearise(&mut self) -> Result<(), GapError> {
+        let state = self.state();
+        relinearise(self.base, &self.accepted, &state, self.search)?;
+        self.fit = Some(settled(&self.base.frame, &self.accepted, state, self.search)?);
         Ok(())
     }
 

@@ -23,8 +23,10 @@ const LEAST_SHARE: f64 = 0.025;
 /// for. One reference recording, at 0.09, has nothing to explain, but a structured error with a high gain; the weakest
 /// known effect is at 0.21.
 const LEAST_EXCESS: f64 = 0.15;
-/// Energy of an effect of single wheels or recordings relative to their scatter.
-const LATENT_SHARE: f64 = 0.1;
+/// Energy of an effect of single wheels or recordings relative to their scatter: the first one, and further ones. Less is asked of
+/// what is heard while no train is near, which no scatter can pass for.
+const LATENT_SHARE: (f64, f64) = (0.1, 0.15);
+const APART_SHARE: f64 = 0.01;
 /// Factor by which further effects must gain more than the first one.
 const FURTHER: f64 = 1.25;
 /// What an effect must take off the residual, RMS relative to the wheels' scatter: the first one named, and further ones,
@@ -33,7 +35,7 @@ const LEAST_GAINED: (f64, f64) = (0.15, 0.2);
 /// An effect of single recordings also counts when it explains this part of the residual's displacement: slow shifts have no
 /// energy worth mentioning in the acceleration.
 const DISPLACEMENT_SHARE: f64 = 0.5;
-/// Candidates within this of the best are not told apart.
+/// Least difference in gain by which candidates are told apart.
 const SAME_GAIN: f64 = 4.0;
 /// Wheelsets of a train meet the same rail: their deviations are not as independent as the covariance says.
 const LATENT_INFLATION: f64 = 2.0;
@@ -60,7 +62,7 @@ pub(super) type Explored = (&'static dyn Latent, Option<LatentFit>, f64);
 /// A model before the last effect.
 struct Confirmed {
     squares: [f64; 3],
-    named: usize,
+    described: usize,
     accepted: usize,
     fit: Option<Fit>,
 }
@@ -73,8 +75,12 @@ pub(super) struct Candidate {
     misfit_gain: f64,
     /// The same per independent look.
     relief: f64,
+    /// Makes a model plausible that agrees with the recordings only as no track is.
+    mends: bool,
     pub(super) full: bool,
     acts_on: ActsOn,
+    /// Learnt while no train is near.
+    apart: bool,
 }
 
 impl Session<'_> {
@@ -83,11 +89,11 @@ impl Session<'_> {
             progress.begin(&format!("effects, round {}", number + 1), 2);
             let earlier = Confirmed {
                 squares: self.current_squares()?,
-                named: self.named.len(),
+                described: self.described(),
                 accepted: self.accepted.len(),
                 fit: self.fit.clone(),
             };
-            if !self.one_round(number, &earlier, progress)? {
+            if !self.one_round(&earlier, progress)? {
                 break;
             }
             if self.adrift() {
@@ -106,12 +112,7 @@ impl Session<'_> {
     }
 
     /// Tries everything on top of what is accepted; accepts the best if it is good enough.
-    fn one_round(
-        &mut self,
-        number: usize,
-        earlier: &Confirmed,
-        progress: &dyn Progress,
-    ) -> Result<bool, GapError> {
+    fn one_round(&mut self, earlier: &Confirmed, progress: &dyn Progress) -> Result<bool, GapError> {
         let frame = &self.base.frame;
         let reference = if self.accepted.is_empty() {
             // The base model has settled already.
@@ -147,11 +148,16 @@ impl Session<'_> {
         let mut list = self.candidates(&tried, &reference, &latent)?;
         let misfit: f64 = reference.passages.iter().map(|p| squares(&p.residual)).sum();
         for c in &mut list {
-            c.gain = if self.worth_naming(c, number, misfit) { c.gain } else { c.gain.min(0.5 * LEAST_GAIN) };
+            c.gain = if self.worth_naming(c, earlier.described, misfit) {
+                c.gain
+            } else {
+                c.gain.min(0.5 * LEAST_GAIN)
+            };
         }
         if !lost {
             put_wheels_first(&mut list);
         }
+        put_apart_first(&mut list);
         list.sort_by(|a, b| b.gain.total_cmp(&a.gain));
         // The best that also takes something off the residual.
         for k in 0..list.len() {
@@ -161,8 +167,11 @@ impl Session<'_> {
                 break;
             }
             self.accept(&list[k..], &mut tried, &mut latent)?;
-            if self.confirm(earlier, list[k].relief)? {
+            if self.confirm(earlier, &list[k])? {
                 self.prune()?;
+                if list[k].acts_on == ActsOn::Panel && lost {
+                    self.relinearise()?;
+                }
                 if list[k].acts_on == ActsOn::Panel {
                     self.review_wheels()?;
                 }
@@ -172,13 +181,18 @@ impl Session<'_> {
         Ok(false)
     }
 
-    /// Whether an effect explains enough to be named.
-    fn worth_naming(&self, c: &Candidate, number: usize, misfit: f64) -> bool {
+    /// Effects in the model whose description may leave something that passes for a further one: not what only the recorder does.
+    fn described(&self) -> usize {
+        self.accepted.len() + self.latent_fits.iter().filter(|(e, _)| e.acts_on() == ActsOn::Wheels).count()
+    }
+
+    /// Whether an effect explains enough to be named on top of `described` others.
+    fn worth_naming(&self, c: &Candidate, described: usize, misfit: f64) -> bool {
         // A model as good as the scatter of the wheels has nothing to explain, unless the gain comes from elsewhere.
         let excess = self.scatter.0.max(0.0).sqrt();
-        let room = excess > LEAST_EXCESS || c.relief > asked(RELIEVED, number);
+        let room = excess > LEAST_EXCESS || c.relief > asked(RELIEVED, described) || c.mends;
         // What the first effect's description leaves must not be taken for a second one.
-        let least_gain = asked((LEAST_GAIN, FURTHER * LEAST_GAIN), number);
+        let least_gain = asked((LEAST_GAIN, FURTHER * LEAST_GAIN), described);
         c.full && room && c.gain > least_gain && 2.0 * c.misfit_gain > LEAST_SHARE * misfit
     }
 
@@ -195,13 +209,14 @@ impl Session<'_> {
             .map(Fit::inflation)
             .fold(reference.inflation(), f64::min);
         let heard = self.heard(tried, reference)?;
+        let astray = reference.state.implausible(&self.base.frame);
         let common = tried.iter().zip(heard).map(|(t, heard)| {
             let (gain, full) = match &t.fit {
                 // A strength at the end of its range is no strength but a fit that found no other way.
                 Some(f) => (
                     f.log_evidence - reference.log_evidence,
                     inside_ranges(t.effect, f)
-                        && large_enough(t.effect, f, inflation)
+                        && large_enough(t.effect, f, self.accepted.len(), inflation)
                         && self.borne_out(t.effect)
                         // What the hammer denies as firmly as an effect must show itself is not there.
                         && heard > -LEAST_GAIN,
@@ -215,18 +230,23 @@ impl Session<'_> {
                 gain: gain / inflation + heard,
                 misfit_gain,
                 relief: misfit_gain / inflation + heard,
+                mends: astray && t.fit.as_ref().is_some_and(|f| f.state.common(&self.base.frame)),
                 full,
                 acts_on: ActsOn::Panel,
+                apart: false,
             }
         });
         let latent = latent.iter().map(|(e, f, moved)| {
             let share = f.as_ref().map_or(0.0, |f| self.share_of(f));
             let of_wheels = e.acts_on() == ActsOn::Wheels;
-            let full = (share > LATENT_SHARE || *moved > DISPLACEMENT_SHARE)
+            let apart = e.learnt_without_trains();
+            let least = if apart { APART_SHARE } else { asked(LATENT_SHARE, self.described()) };
+            let full = (share > least || *moved > DISPLACEMENT_SHARE)
                 && !(of_wheels && f.as_ref().is_some_and(|f| self.shared_by_bogies(f) > MOST_SHARED))
                 && !f.as_ref().is_some_and(everywhere);
-            // What a lost model leaves over is no wheel's; elsewhere the mean says nothing of single wheels.
-            let doubt = LATENT_INFLATION * if reference.lost() { inflation } else { 1.0 };
+            // What a lost model leaves over is no wheel's; elsewhere the mean says nothing of single wheels, and the model nothing
+            // of what is learnt without trains.
+            let doubt = LATENT_INFLATION * if reference.lost() && !apart { inflation } else { 1.0 };
             let gain = f.as_ref().map_or(0.0, |f| f.gain) / doubt;
             let gain = if full { gain } else { gain.min(0.5 * LEAST_GAIN) };
             Candidate {
@@ -235,8 +255,10 @@ impl Session<'_> {
                 gain,
                 misfit_gain: f64::INFINITY,
                 relief: f64::INFINITY,
+                mends: false,
                 full,
                 acts_on: e.acts_on(),
+                apart,
             }
         });
         Ok(common.chain(latent).collect())
@@ -315,7 +337,7 @@ impl Session<'_> {
         let name = best.name;
         let same = list[1..]
             .iter()
-            .filter(|c| c.full && best.gain - c.gain < SAME_GAIN + 0.01 * best.gain)
+            .filter(|c| c.full && best.gain - c.gain < same_gain(best.gain))
             .map(|c| c.name)
             .collect();
         let probability = self.ranking.iter().find(|r| r.name == name).map_or(MOST_SURE, |r| r.probability);
@@ -359,7 +381,7 @@ impl Session<'_> {
     }
 
     /// Whether the effect accepted last takes enough off the residual; if not, it is taken back.
-    fn confirm(&mut self, earlier: &Confirmed, relief: f64) -> Result<bool, GapError> {
+    fn confirm(&mut self, earlier: &Confirmed, c: &Candidate) -> Result<bool, GapError> {
         let [acceleration, displacement, own] = self.current_squares()?;
         let Some(last) = self.named.last_mut() else { return Ok(true) };
         let part = |before: f64, now: f64, floor: f64| {
@@ -369,9 +391,10 @@ impl Session<'_> {
         last.gained = part(earlier.squares[0], acceleration, own)
             .max(0.5 * part(earlier.squares[1], displacement, displacement));
         // Effects of single wheels have their own rule.
-        if last.gained >= asked(LEAST_GAINED, earlier.named)
+        if last.gained >= asked(LEAST_GAINED, earlier.described)
             || self.accepted.len() == earlier.accepted
-            || relief > asked(RELIEVED, earlier.named)
+            || c.relief > asked(RELIEVED, earlier.described)
+            || c.mends
         {
             return Ok(true);
         }
@@ -454,12 +477,26 @@ fn everywhere(found: &LatentFit) -> bool {
 /// What differs between wheels is no panel's doing, but changes their mean, which an effect of the panel can follow: its gain
 /// says nothing until the wheels are in the model.
 fn put_wheels_first(list: &mut [Candidate]) {
-    let qualifies = |c: &&Candidate| c.full && c.gain > LEAST_GAIN;
-    let wheels = list.iter().filter(qualifies).filter(|c| c.acts_on == ActsOn::Wheels).map(|c| c.gain);
-    let Some(best) = wheels.max_by(f64::total_cmp) else { return };
-    for c in list.iter_mut().filter(|c| c.acts_on == ActsOn::Panel) {
-        c.gain = c.gain.min(best - 2.0 * SAME_GAIN);
+    put_first(list, |c| c.acts_on == ActsOn::Wheels, |c| c.acts_on == ActsOn::Panel);
+}
+
+/// What is learnt without trains needs no model, and spoils every fit as long as it is in the windows.
+fn put_apart_first(list: &mut [Candidate]) {
+    put_first(list, |c| c.apart, |c| !c.apart);
+}
+
+/// Lowers the gains of `later` candidates clearly below the best of those that come `first` and qualify.
+fn put_first(list: &mut [Candidate], first: fn(&Candidate) -> bool, later: fn(&Candidate) -> bool) {
+    let qualifies = |c: &&Candidate| c.full && c.gain > LEAST_GAIN && first(c);
+    let Some(best) = list.iter().filter(qualifies).map(|c| c.gain).max_by(f64::total_cmp) else { return };
+    for c in list.iter_mut().filter(|c| later(c)) {
+        c.gain = c.gain.min(best - 2.0 * same_gain(best));
     }
+}
+
+/// Candidates whose gains are within this of the best are not told apart.
+fn same_gain(best: f64) -> f64 {
+    SAME_GAIN + 0.01 * best
 }
 
 /// Part of the displacement's residual of the training passages that an effect explains.
@@ -474,9 +511,9 @@ fn displacement_share(scene: &Scene, found: &LatentFit) -> f64 {
     1.0 - after / before.max(f64::MIN_POSITIVE)
 }
 
-/// What is asked of the first effect, or of one after `named` others.
-fn asked((first, further): (f64, f64), named: usize) -> f64 {
-    if named == 0 { first } else { further }
+/// What is asked of the first effect, or of one on top of `described` others.
+fn asked((first, further): (f64, f64), described: usize) -> f64 {
+    if described == 0 { first } else { further }
 }
 
 fn squares(m: &faer::Mat<f64>) -> f64 {

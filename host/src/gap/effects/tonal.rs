@@ -139,6 +139,10 @@ impl Latent for Tonal {
         Stage::Sensor
     }
 
+    fn learnt_without_trains(&self) -> bool {
+        true
+    }
+
     fn explore(&self, scene: &Scene) -> Option<LatentFit> {
         let quiet: Vec<Quiet> = scene.observed.par_iter().map(Quiet::new).collect();
         let learnt: Vec<&Quiet> = scene.train.iter().map(|i| &quiet[*i]).collect();

@@ -5,7 +5,8 @@ use faer::linalg::solvers::Solve as _;
 use rayon::prelude::*;
 
 use super::{
-    Evaluation, Frame, Linearised, Shape, State, derivatives, mean_windows, simulate, solve, values, whiten,
+    Evaluation, Frame, Linearised, Shape, State, derivatives, mean_windows, normal_equations, simulate,
+    values, whiten,
 };
 use crate::gap::GapError;
 use crate::gap::effect::{Effect, Hints};
@@ -109,9 +110,9 @@ fn reduced(
 ) -> Result<(Mat<f64>, Mat<f64>), GapError> {
     let own_effects: usize = accepted.iter().map(|e| e.parameters().len()).sum();
     let shape = Shape { path: frame.deviation_root.nrows(), effects: own_effects + extra };
-    let solution = solve(frame, accepted, state, &shape, linear, subset)?;
+    let normal = normal_equations(frame, accepted, state, &shape, linear, subset);
     let (n, m) = (shape.len(), shape.len() - extra);
-    let h = &solution.hessian;
+    let h = &normal.hessian;
     let block = |r: std::ops::Range<usize>, c: std::ops::Range<usize>| {
         Mat::from_fn(r.len(), c.len(), |i, j| h[(r.start + i, c.start + j)])
     };
@@ -120,8 +121,8 @@ fn reduced(
         .llt(faer::Side::Lower)
         .map_err(|_| GapError::Singular { what: "the base model around its fit" })?;
     let information = &ee - be.transpose() * factor.solve(&be);
-    let right = Mat::from_fn(m, 1, |i, _| solution.vector[(i, 0)]);
-    let own = Mat::from_fn(extra, 1, |i, _| solution.vector[(m + i, 0)]);
+    let right = Mat::from_fn(m, 1, |i, _| normal.vector[(i, 0)]);
+    let own = Mat::from_fn(extra, 1, |i, _| normal.vector[(m + i, 0)]);
     let vector = &own - be.transpose() * factor.solve(&right);
     Ok((information, vector))
 }

@@ -11,7 +11,7 @@ use cpcm::gap::base::{base, nominal_world};
 use cpcm::gap::diagnosis::{DiagnoseOptions, Diagnosis, PATH_PRIOR, diagnose};
 use cpcm::gap::effect::Stage;
 use cpcm::gap::effects::COMMON;
-use cpcm::gap::fit::{FitOptions, fit};
+use cpcm::gap::fit::{FitOptions, fit, replaced};
 use cpcm::gap::hammer::{Hammer, modelled};
 use cpcm::gap::receptance::read_receptance;
 use cpcm::gap::results::{diagnosis_json, write_diagnosis};
@@ -422,6 +422,48 @@ fn regress_the_ringing_of_a_mount_is_no_flat() {
     let found = full(&simulate(&scenario, &Silent).unwrap().site);
     let named = named(&found);
     assert_eq!(named, ["mount-resonance"]);
+}
+
+/// The base model had put trains a wave off, from where no effect led back, and interference was doubted together with it.
+#[test]
+fn regress_interference_and_soft_pads_are_both_named() {
+    let work = tempfile::tempdir().unwrap();
+    let (scenario, drawn) = scenario_of(18, 77, work.path()).unwrap();
+    assert_eq!(drawn, ["tonal", "pad-stiffness"]);
+    let found = full(&simulate(&scenario, &Silent).unwrap().site);
+    let named = named(&found);
+    assert!(drawn.iter().all(|e| named.contains(e)), "{named:?} {:?}", found.remarks);
+    let pads = found.effects.iter().find(|e| e.name == "pad-stiffness").unwrap();
+    let (_, _, low, high) = pads.parameters[0];
+    let truth = scenario.simulation.effects.pad_stiffness.unwrap().factor;
+    assert!(low < truth && truth < high, "{low} … {high}, {truth}");
+}
+
+#[test]
+fn property_a_passage_a_wave_off_is_found_again() {
+    let site = small("reference-2", 4);
+    let all: Vec<usize> = (0..site.passages.len()).collect();
+    let base = base(&site, &all, &all, &PATH_PRIOR, SensorModel::default()).unwrap();
+    let there = base.fit.state.shift_m.clone();
+    for off_m in [-0.2, 0.2] {
+        let mut state = base.fit.state.clone();
+        state.shift_m[1] += off_m;
+        let again = replaced(&base.frame, &[], state, &all);
+        for (a, b) in again.shift_m.iter().zip(&there) {
+            assert!((a - b).abs() < tolerance::FOUND_AGAIN_M, "{a} {b}");
+        }
+    }
+}
+
+/// Ballast takes over what soft pads do, and leaves no gap where pads are not in the catalogue.
+#[test]
+fn regress_ballast_that_no_bed_has_is_told() {
+    let work = tempfile::tempdir().unwrap();
+    let (scenario, drawn) = scenario_of(18, 23, work.path()).unwrap();
+    assert_eq!(drawn, ["pad-stiffness"]);
+    let found = quick(&simulate(&scenario, &Silent).unwrap().site).unwrap();
+    assert!(says(&found, "hardly a bed does"), "{:?}", found.remarks);
+    assert_eq!(found.verdict, Verdict::Unexplained);
 }
 
 /// A dip in the stock rail and another crossing rail mended the description of the void, and took its size with them.

@@ -74,6 +74,8 @@ pub const SUM_ORDER: f64 = 1e-3;
 pub const PADS_OF_NOTHING: f64 = 0.25;
 /// Their gain in log evidence, nats: measured -1.4, before 67.
 pub const GAIN_OF_NOTHING: f64 = 5.0;
+/// Place of a passage of reference-2 that had been put 20 cm off, m: a sample at 800 Hz is 6 cm there, its parabola far less.
+pub const FOUND_AGAIN_M: f64 = 0.01;
 /// Spread of the wheels' shifts against what they were drawn from, relative: measured -0.12; some 130 wheels scatter by 0.06.
 pub const SHIFT: f64 = 0.2;
 /// Model against the simulator of the trials where wheels are alike, RMS of the mean window relative to the signal: measured

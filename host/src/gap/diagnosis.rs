@@ -279,8 +279,6 @@ impl<'a> Session<'a> {
     }
 }
 
-/// Search for the axle times of held-out passages, metres.
-const ALIGN_M: f64 = 0.3;
 /// Nothing is surer than this: in the trials of seeds 11, 12 and 13 the effect that the evidence was surest of was there in
 /// 135 of 156.
 const MOST_SURE: f64 = 0.87;

@@ -29,8 +29,8 @@ pub struct Prediction {
 
 /// High-pass of the double integration, Hz.
 const HIGH_PASS_HZ: [f64; 2] = [2.0, 4.0];
-/// Search for the axle times, metres.
-const ALIGN_M: f64 = 0.3;
+/// How far a passage is looked for from where it was thought to be, metres of travel: a model that is far off misses by a wave.
+pub const ALIGN_M: f64 = 0.3;
 
 /// Displacement from acceleration: double integration in the frequency domain, fading out between 4 and 2 Hz.
 pub fn displacement(acceleration: &[f64]) -> Vec<f64> {

@@ -40,6 +40,13 @@ pub struct Bed {
     pub mass_kg_m: f64,
 }
 
+impl Bed {
+    /// Whether every sleeper's support is as stiff under any load.
+    pub fn is_linear(&self) -> bool {
+        self.gap_m.is_empty() && self.doubling_m.is_none()
+    }
+}
+
 /// Wheels of a bogie, front and rear.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Wheels {

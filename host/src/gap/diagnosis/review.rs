@@ -35,9 +35,13 @@ impl Session<'_> {
     }
 
     /// Linearises anew around an effect of the panel without which the model was lost: derivatives by the path, and what wheels do by
-    /// nature, were those of another track.
+    /// nature, were those of another track. Over a bed that is not linear no derivative holds far enough: around a void, wheels' scatter
+    /// passed for flats.
     pub(super) fn relinearise(&mut self) -> Result<(), GapError> {
         let state = self.state();
+        if !state.world(&self.base.frame, &self.accepted).bed.is_linear() {
+            return Ok(());
+        }
         relinearise(self.base, &self.accepted, &state, self.search)?;
         self.fit = Some(settled(&self.base.frame, &self.accepted, state, self.search)?);
         Ok(())

@@ -1,7 +1,7 @@
 //! Search for effects: rounds of screening, fits, acceptance and confirmation.
 
 use super::plausible::{inside_ranges, large_enough};
-use super::{ALIGN_M, LEAST_GAIN, MOST_SURE, Named, Ranked, Session};
+use super::{LEAST_GAIN, MOST_SURE, Named, Ranked, Session};
 use crate::gap::GapError;
 use crate::gap::base::fit_variation;
 use crate::gap::data::{energies, own_energy};
@@ -9,7 +9,7 @@ use crate::gap::effect::{ActsOn, Effect, Stage};
 use crate::gap::fit::{Fit, FitOptions, State, fit, settled, simulate};
 use crate::gap::forward::Response;
 use crate::gap::latent::{Latent, LatentFit, Scene};
-use crate::gap::measure;
+use crate::gap::measure::{self, ALIGN_M};
 use crate::gap::select::{Standing, Tried, gain, round};
 use crate::gap::world::SensorModel;
 use crate::progress::Progress;

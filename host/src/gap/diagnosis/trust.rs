@@ -1,11 +1,12 @@
 //! What a site does not allow to tell, and whether effects may be looked for at all.
 
-use super::{ALIGN_M, PATH_PRIOR, Session};
+use super::{PATH_PRIOR, Session};
 use crate::gap::GapError;
 use crate::gap::base::{Base, base};
 use crate::gap::consistency::Strangers;
 use crate::gap::data::energies;
 use crate::gap::fit::simulate;
+use crate::gap::measure::ALIGN_M;
 use crate::gap::world::World;
 use crate::recording::Site;
 

@@ -5,6 +5,7 @@ use super::{Evaluation, Fit, FitOptions, Frame, State, fit};
 use crate::ballast::BallastParameters;
 use crate::gap::GapError;
 use crate::gap::effect::Effect;
+use crate::gap::measure::ALIGN_M;
 
 /// Squares of the path's deviation per knot in units of its prior, crossing and stock side, above which the path has taken
 /// over what an effect does, and its derivatives say little of that effect. Simulated sites without any effect have up to 3.7
@@ -69,9 +70,6 @@ impl State {
     }
 }
 
-/// How far a passage may be from its place, metres of travel.
-const ASTRAY_M: f64 = 0.3;
-
 /// A state with every passage of `subset` where it agrees best with that state's own prediction, or as it is where that is more
 /// probable: a model that is far off has put passages a wave too early or too late, from where no fit leads back.
 pub fn replaced(frame: &Frame, effects: &[&dyn Effect], state: State, subset: &[usize]) -> State {
@@ -80,7 +78,7 @@ pub fn replaced(frame: &Frame, effects: &[&dyn Effect], state: State, subset: &[
     for (i, response) in subset.iter().zip(&here.responses) {
         let o = &frame.observed[*i];
         let gain = here.sensor.gain_at(o.temperature_c);
-        moved.shift_m[*i] = o.speed_m_s * o.lag(response, gain, ASTRAY_M / o.speed_m_s);
+        moved.shift_m[*i] = o.speed_m_s * o.lag(response, gain, ALIGN_M / o.speed_m_s);
     }
     match Evaluation::new(frame, effects, &moved, subset) {
         Ok(there) if there.cost < here.cost => moved,

@@ -432,7 +432,7 @@ fn regress_interference_and_soft_pads_are_both_named() {
     assert_eq!(drawn, ["tonal", "pad-stiffness"]);
     let found = full(&simulate(&scenario, &Silent).unwrap().site);
     let named = named(&found);
-    assert!(drawn.iter().all(|e| named.contains(e)), "{named:?} {:?}", found.remarks);
+    assert!(drawn.iter().all(|e| named.contains(&e.as_str())), "{named:?} {:?}", found.remarks);
     let pads = found.effects.iter().find(|e| e.name == "pad-stiffness").unwrap();
     let (_, _, low, high) = pads.parameters[0];
     let truth = scenario.simulation.effects.pad_stiffness.unwrap().factor;

@@ -323,7 +323,7 @@ pub fn align(world: &World, observed: &mut [Observed], window: (f64, f64)) -> Re
     observed.par_iter_mut().try_for_each(|o| {
         let response = super::forward::Simulator::new(world, o.axle_load_kg)?.response(o.speed_m_s)?;
         for reach in [ALIGN_M, 0.2 * ALIGN_M] {
-            let late_s = o.lag(&response, world.sensor.gain_at(o.temperature_c), reach / o.speed_m_s);
+            let late_s = o.lag(&response, world.sensor.gain_at(o.temperature_c), reach);
             o.delay(late_s, window);
         }
         Ok(())

@@ -94,9 +94,9 @@ impl Observed {
         self.cut(window);
     }
 
-    /// Delay of the recording behind a prediction at which both agree best, s, among `range_s` in both directions.
-    pub fn lag(&self, response: &Response, gain: f64, range_s: f64) -> f64 {
-        let steps = (range_s * RATE_HZ).ceil() as i64;
+    /// Delay of the recording behind a prediction at which both agree best, s, among `range_m` of travel in both directions.
+    pub fn lag(&self, response: &Response, gain: f64, range_m: f64) -> f64 {
+        let steps = (range_m / self.speed_m_s * RATE_HZ).ceil() as i64;
         let misfit = |late_s: f64| {
             let p = self.predicted_mean(response, gain, late_s);
             self.mean.iter().zip(&p).map(|(m, p)| (m - p).powi(2)).sum::<f64>()

@@ -261,7 +261,7 @@ pub fn fit(
     for step in 0..options.steps {
         let linear = whiten(frame, subset, &columns, &here);
         let normal = normal_equations(frame, effects, &state, &shape, &linear, subset);
-        let next = descend(frame, effects, &state, &normal, subset, (here.cost, options.damped))?;
+        let next = descend(frame, effects, &state, &normal, subset, here.cost, options.damped)?;
         let gained = next.as_ref().map_or(0.0, |(_, e)| here.cost - e.cost);
         if let Some((s, e)) = next {
             (state, here) = (s, e);
@@ -298,7 +298,8 @@ fn descend(
     state: &State,
     normal: &Normal,
     subset: &[usize],
-    (cost, damped): (f64, bool),
+    cost: f64,
+    damped: bool,
 ) -> Result<Option<(State, Evaluation)>, GapError> {
     let straight = normal.step([0.0; 2])?;
     let lower = |step: &Step, scale: f64| {

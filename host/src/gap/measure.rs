@@ -112,7 +112,7 @@ fn train(
     (world, response): (&World, &Response),
 ) -> Vec<f64> {
     let gain = world.sensor.gain_at(o.temperature_c);
-    let late = o.lag(response, gain, ALIGN_M / o.speed_m_s);
+    let late = o.lag(response, gain, ALIGN_M);
     let bogies: Vec<f64> = o.bogie_s().iter().map(|b| b + late).collect();
     let mut out = vec![0.0; measured.len()];
     response.add_train(&bogies, gain, start_s - o.first_axle_s, 1.0 / RATE_HZ, &mut out);

@@ -93,14 +93,10 @@ fn fits_from_afar<'e>(
     hints: &Hints,
     subset: &[usize],
 ) -> Vec<Option<Fit>> {
+    let few = few_of(subset);
     let scouted: Vec<Option<Fit>> = order
         .par_iter()
-        .map(|(e, ..)| {
-            let list = with(*e);
-            let all = list.last()?.far_starts(hints).iter().map(|c| started(state, c)).collect();
-            let few = few_of(subset);
-            deepest(frame, &list, in_place(frame, &list, all, &few), &few, SCOUT)
-        })
+        .map(|(e, ..)| deepest_from_afar(frame, state, &with(*e), hints, &few, SCOUT))
         .collect();
     let mut best: Vec<usize> = (0..order.len()).filter(|k| scouted[*k].is_some()).collect();
     let evidence = |k: &usize| scouted[*k].as_ref().map_or(f64::NEG_INFINITY, |f| f.log_evidence);
@@ -117,8 +113,7 @@ fn fits_from_afar<'e>(
         .map(|(k, (scouted, (e, ..)))| {
             let start = scouted.as_ref().filter(|_| best.contains(&k))?.state.clone();
             // Only the few that were scouted are in their places yet.
-            let start = replaced(frame, &with(*e), start, subset);
-            fit(frame, &with(*e), start, subset, FitOptions::THOROUGH).ok()
+            fit_in_place(frame, &with(*e), start, subset, FitOptions::THOROUGH)
         })
         .collect();
     // Where even the best is lost, the few passages may have chosen the wrong one of its starts.
@@ -144,8 +139,7 @@ fn from_every_start(
     if effect.nought().is_some() {
         return None;
     }
-    let all = effect.far_starts(hints).iter().map(|c| started(state, c)).collect();
-    let best = deepest(frame, list, in_place(frame, list, all, subset), subset, VALLEY)?;
+    let best = deepest_from_afar(frame, state, list, hints, subset, VALLEY)?;
     fit(frame, list, best.state, subset, FitOptions::THOROUGH).ok()
 }
 
@@ -171,8 +165,10 @@ fn candidate(
     if (state.ballast[0] - nominal[0]).abs() > FAR {
         states.push(state.on_nominal_ballast());
     }
-    let all = states.iter().flat_map(|s| all_starts.iter().map(|c| started(s, c))).collect();
-    let best = deepest(frame, list, all, &few_of(subset), SCOUT)?;
+    let all: Vec<State> = states.iter().flat_map(|s| all_starts.iter().map(|c| started(s, c))).collect();
+    let few = few_of(subset);
+    let scouts = all.into_par_iter().filter_map(|s| fit(frame, list, s, &few, SCOUT).ok());
+    let best = scouts.max_by(by_evidence)?;
     fit(frame, list, best.state, subset, FitOptions::THOROUGH).ok()
 }
 
@@ -183,25 +179,36 @@ fn started(state: &State, coordinates: &[f64]) -> State {
     from
 }
 
-/// States with the passages where the states predict them.
-fn in_place(frame: &Frame, list: &[&dyn Effect], states: Vec<State>, subset: &[usize]) -> Vec<State> {
-    states.into_par_iter().map(|s| replaced(frame, list, s, subset)).collect()
+/// Fit from a start with the passages where that predicts them.
+fn fit_in_place(
+    frame: &Frame,
+    list: &[&dyn Effect],
+    start: State,
+    subset: &[usize],
+    options: FitOptions,
+) -> Option<Fit> {
+    fit(frame, list, replaced(frame, list, start, subset), subset, options).ok()
+}
+
+/// Best of such fits from all far starts of the last effect of `list`.
+fn deepest_from_afar(
+    frame: &Frame,
+    state: &State,
+    list: &[&dyn Effect],
+    hints: &Hints,
+    subset: &[usize],
+    options: FitOptions,
+) -> Option<Fit> {
+    let starts = list.last()?.far_starts(hints);
+    starts
+        .into_par_iter()
+        .filter_map(|c| fit_in_place(frame, list, started(state, &c), subset, options))
+        .max_by(by_evidence)
 }
 
 /// The passages that are scouted.
 fn few_of(subset: &[usize]) -> Vec<usize> {
     subset.iter().copied().step_by(subset.len().div_ceil(SCOUTED).max(1)).collect()
-}
-
-/// Best of the fits from all `starts`.
-fn deepest(
-    frame: &Frame,
-    list: &[&dyn Effect],
-    starts: Vec<State>,
-    subset: &[usize],
-    options: FitOptions,
-) -> Option<Fit> {
-    starts.into_par_iter().filter_map(|s| fit(frame, list, s, subset, options).ok()).max_by(by_evidence)
 }
 
 /// Near the base model the first derivatives hold; what is accepted is fitted again.

@@ -169,10 +169,10 @@ impl Session<'_> {
             self.accept(&list[k..], &mut tried, &mut latent)?;
             if self.confirm(earlier, &list[k])? {
                 self.prune()?;
-                if list[k].acts_on == ActsOn::Panel && lost {
-                    self.relinearise()?;
-                }
                 if list[k].acts_on == ActsOn::Panel {
+                    if lost {
+                        self.relinearise()?;
+                    }
                     self.review_wheels()?;
                 }
                 return Ok(true);
@@ -321,7 +321,7 @@ impl Session<'_> {
             .enumerate()
             .map(|(i, o)| match self.search.contains(&i) {
                 true => state.shift_m[i] / o.speed_m_s,
-                false => o.lag(&responses[i], sensor.gain_at(o.temperature_c), ALIGN_M / o.speed_m_s),
+                false => o.lag(&responses[i], sensor.gain_at(o.temperature_c), ALIGN_M),
             })
             .collect()
     }

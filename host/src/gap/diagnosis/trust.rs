@@ -128,7 +128,7 @@ impl Session<'_> {
                 .zip(&responses)
                 .map(|(i, r)| {
                     let o = &b.frame.observed[*i];
-                    o.window_residuals(r, 1.0, o.lag(r, 1.0, ALIGN_M / o.speed_m_s))
+                    o.window_residuals(r, 1.0, o.lag(r, 1.0, ALIGN_M))
                 })
                 .collect();
             let ratio = |w: &Vec<Vec<f64>>| {

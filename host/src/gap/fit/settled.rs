@@ -78,7 +78,7 @@ pub fn replaced(frame: &Frame, effects: &[&dyn Effect], state: State, subset: &[
     for (i, response) in subset.iter().zip(&here.responses) {
         let o = &frame.observed[*i];
         let gain = here.sensor.gain_at(o.temperature_c);
-        moved.shift_m[*i] = o.speed_m_s * o.lag(response, gain, ALIGN_M / o.speed_m_s);
+        moved.shift_m[*i] = o.speed_m_s * o.lag(response, gain, ALIGN_M);
     }
     match Evaluation::new(frame, effects, &moved, subset) {
         Ok(there) if there.cost < here.cost => moved,

@@ -46,6 +46,11 @@ pub const NODE_AXLE_M: f64 = 0.03;
 pub const PAPER_TO_EVIDENCE: f64 = 8.0;
 /// Peak error of the paper's chain over that of the chain in between on recordings: measured 4 to 9.
 pub const PAPER_TO_BETWEEN: f64 = 2.0;
+/// Mean peak error of a site over the posterior's standard deviation of what its wheels share: a normal one is beyond once in
+/// 370 sites.
+pub const SHARED_SDS: f64 = 3.0;
+/// Median peak error of a site over that which the posterior expects: the part that all wheels share is one draw.
+pub const PEAK_TO_EXPECTED: f64 = 2.0;
 /// Displacement error of a high-pass at 0.8-1.5 Hz, RMS over peak to peak: measured 16 to 18 %.
 pub const HIGH_PASS_LOSS: f64 = 0.1;
 /// The same with the model below 3 Hz: measured 0.8-0.9 %.

@@ -108,4 +108,16 @@ fn paper_chain_stands_beside_the_analysis_on_recordings() {
     assert!(displacement(1) > tolerance::HIGH_PASS_LOSS, "a high-pass takes away the train's mean");
     assert!(displacement(2) < tolerance::MODEL_BELOW_3_HZ, "the model puts it back");
     assert_eq!(found.table(None).rows.len(), 5, "three methods, eq. 1 and the truth");
+    let limits = &found.limits;
+    assert!(
+        limits.mean_error().abs() < tolerance::SHARED_SDS * limits.shared(),
+        "{:.4}",
+        limits.mean_error()
+    );
+    assert!(
+        peak[0] < tolerance::PEAK_TO_EXPECTED * limits.median(),
+        "{:.4} of {:.4} to be expected",
+        peak[0],
+        limits.median()
+    );
 }

@@ -104,8 +104,21 @@ pub fn wheel_forces(
 /// most usual speed: it hardly depends on the speed.
 pub struct Spread {
     position_m: Vec<f64>,
-    /// `[kind][axle]`, newtons.
-    sd_n: Vec<Vec<Vec<f64>>>,
+    /// `[kind][axle]`.
+    causes: Vec<Vec<Causes>>,
+}
+
+/// What a force is not known by: standard deviations along the track, newtons.
+#[derive(Clone, Debug)]
+pub struct Causes {
+    /// Noise of the recording, what a wheel has of its own, its load.
+    pub own_n: Vec<f64>,
+    /// What all wheels share: a force on the stock rail looks like one on the crossing rail.
+    pub profile_n: Vec<f64>,
+    /// Ballast.
+    pub ballast_n: Vec<f64>,
+    /// Position that all passages share.
+    pub position_n: Vec<f64>,
 }
 
 impl Spread {
@@ -117,27 +130,50 @@ impl Spread {
             .min_by(|a, b| (speeds[*a] - usual).abs().total_cmp(&(speeds[*b] - usual).abs()))
             .unwrap_or(0);
         let position_m = positions_m(site, index);
-        let sd_n = kinds(&site.pattern)
+        let causes = kinds(&site.pattern)
             .par_iter()
-            .map(|kind| sds_of(site, kind, index, &position_m))
+            .map(|kind| causes_of(site, kind, index, &position_m))
             .collect::<Result<_, _>>()?;
-        Ok(Self { position_m, sd_n })
+        Ok(Self { position_m, causes })
     }
 
     /// Of an axle of a kind of group, at positions.
     pub fn sd_n(&self, kind: usize, axle: usize, position_m: &[f64]) -> Vec<f64> {
-        on_grid(&self.position_m, &self.sd_n[kind][axle], position_m).iter().map(|s| s.max(0.0)).collect()
+        let causes = self.causes(kind, axle, position_m);
+        (0..position_m.len())
+            .map(|i| causes.each().iter().map(|c| c[i].powi(2)).sum::<f64>().sqrt())
+            .collect()
+    }
+
+    /// The same cause by cause.
+    pub fn causes(&self, kind: usize, axle: usize, position_m: &[f64]) -> Causes {
+        let on = |sd_n: &[f64]| -> Vec<f64> {
+            on_grid(&self.position_m, sd_n, position_m).iter().map(|s| s.max(0.0)).collect()
+        };
+        let c = &self.causes[kind][axle];
+        Causes {
+            own_n: on(&c.own_n),
+            profile_n: on(&c.profile_n),
+            ballast_n: on(&c.ballast_n),
+            position_n: on(&c.position_n),
+        }
+    }
+}
+
+impl Causes {
+    fn each(&self) -> [&[f64]; 4] {
+        [&self.own_n, &self.profile_n, &self.ballast_n, &self.position_n]
     }
 }
 
 /// Of the axles of one kind: own deviation, load and noise; what is left unknown of the common profile; ballast and the
 /// position that all passages share, from the calibration.
-fn sds_of(
+fn causes_of(
     site: &IdentifiedSite,
     kind: &GroupKind,
     index: usize,
     position_m: &[f64],
-) -> Result<Vec<Vec<f64>>, InverseError> {
+) -> Result<Vec<Causes>, InverseError> {
     let geometry = geometry(site, kind, index);
     let estimator = Estimator::new(&model(site), &geometry, &site.prior, &site.profile)?;
     let gains = estimator.gains(position_m, LOW_PASS_HZ, &site.profile);
@@ -145,18 +181,16 @@ fn sds_of(
     let p = site.profile.value.len();
     let profile_covariance = site.posterior.covariance.submatrix(0, 0, p, p);
     let known: Mat<f64> = Mat::from_fn(3, 3, |i, j| site.ballast.covariance[i][j]);
-    let sds = gains.iter().zip(&ballast).map(|(axle, ballast)| {
-        let own: Vec<f64> = axle.sd_n.iter().map(|s| s * s).collect();
-        let profile = variances(&axle.profile, &(&axle.profile * profile_covariance));
-        let ballast = variances(ballast, &(ballast * &known));
+    let causes = gains.iter().zip(&ballast).map(|(axle, ballast)| {
         let slope = slope_n_m(position_m, &axle.base_n);
-        let sd = |i: usize| {
-            let position = (slope[i] * site.ballast.shift_sd_m).powi(2);
-            (own[i] + profile[i] + ballast[i] + position).sqrt()
-        };
-        (0..position_m.len()).map(sd).collect()
+        Causes {
+            own_n: axle.sd_n.clone(),
+            profile_n: deviations(&axle.profile, &(&axle.profile * profile_covariance)),
+            ballast_n: deviations(ballast, &(ballast * &known)),
+            position_n: slope.iter().map(|s| (s * site.ballast.shift_sd_m).abs()).collect(),
+        }
     });
-    Ok(sds.collect())
+    Ok(causes.collect())
 }
 
 /// Change of the forces of every axle per (ln p1, ln p2, p3), newtons, if every wheel stood for itself: what a wrong ballast
@@ -180,9 +214,10 @@ fn ballast_sensitivity(
     Ok(gains.iter().map(|axle| -(&axle.gain * &columns)).collect())
 }
 
-/// Diagonal of a · bᵀ.
-fn variances(a: &Mat<f64>, b: &Mat<f64>) -> Vec<f64> {
-    (0..a.nrows()).map(|i| (0..a.ncols()).map(|j| a[(i, j)] * b[(i, j)]).sum::<f64>().max(0.0)).collect()
+/// Square roots of the diagonal of a · bᵀ.
+fn deviations(a: &Mat<f64>, b: &Mat<f64>) -> Vec<f64> {
+    let product = |i: usize| (0..a.ncols()).map(|j| a[(i, j)] * b[(i, j)]).sum::<f64>();
+    (0..a.nrows()).map(|i| product(i).max(0.0).sqrt()).collect()
 }
 
 /// Slope of a force along equidistant positions by central differences, N/m.

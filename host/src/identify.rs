@@ -76,6 +76,28 @@ impl IdentifiedSite<'_> {
         let band = self.greens.sampling.band_hz;
         self.recordings[index].window(start_s, rate, estimator.len(), band)
     }
+
+    /// The same site with another ballast than the calibrated one: everything that follows from it found anew.
+    pub fn on_ballast(
+        mut self,
+        ballast: BallastParameters,
+        progress: &dyn Progress,
+    ) -> Result<Self, IdentifyError> {
+        self.ballast.parameters = ballast;
+        (self.greens, self.nearby_greens) = calibrated_greens(&self.track, &ballast);
+        let mut passages: Vec<SitePassage> = (0..self.recordings.len())
+            .map(|i| SitePassage {
+                recording: &self.recordings[i],
+                timing: self.timings[i],
+                static_force_n: self.static_force_n[i],
+            })
+            .collect();
+        (self.prior, self.posterior) =
+            common_force(&self.greens, self.direction, &self.pattern, &mut passages, progress)?;
+        self.timings = passages.iter().map(|p| p.timing).collect();
+        self.profile = self.posterior.profile.clone();
+        Ok(self)
+    }
 }
 
 /// Passages used for the search over ballast; all are used for everything else.
@@ -120,12 +142,7 @@ pub fn identify<'s>(site: &'s Site, progress: &dyn Progress) -> Result<Identifie
         .collect();
     let problem = EvidenceProblem::new(&track, direction, &pattern, &crossing.vehicle);
     let (calibration, ballast) = calibrate(&problem, &quasi_static, &mut passages, progress)?;
-    let nearby = |k: usize| (wide_greens(&track, &ballast.parameters.moved(k, DIFFERENCE[k])), DIFFERENCE[k]);
-    let ((greens, first), (second, third)) = rayon::join(
-        || rayon::join(|| wide_greens(&track, &ballast.parameters), || nearby(0)),
-        || rayon::join(|| nearby(1), || nearby(2)),
-    );
-    let nearby_greens = [first, second, third];
+    let (greens, nearby_greens) = calibrated_greens(&track, &ballast.parameters);
     let (prior, posterior) = common_force(&greens, direction, &pattern, &mut passages, progress)?;
     let timings = passages.iter().map(|p| p.timing).collect();
     Ok(IdentifiedSite {
@@ -145,6 +162,19 @@ pub fn identify<'s>(site: &'s Site, progress: &dyn Progress) -> Result<Identifie
         greens,
         nearby_greens,
     })
+}
+
+/// Green's functions on a ballast, and on ballast with each of (ln p1, ln p2, p3) moved by a step.
+fn calibrated_greens(
+    track: &Track,
+    ballast: &BallastParameters,
+) -> (GreensFunctions, [(GreensFunctions, f64); 3]) {
+    let nearby = |k: usize| (wide_greens(track, &ballast.moved(k, DIFFERENCE[k])), DIFFERENCE[k]);
+    let ((greens, first), (second, third)) = rayon::join(
+        || rayon::join(|| wide_greens(track, ballast), || nearby(0)),
+        || rayon::join(|| nearby(1), || nearby(2)),
+    );
+    (greens, [first, second, third])
 }
 
 fn wide_greens(track: &Track, ballast: &BallastParameters) -> GreensFunctions {

@@ -11,7 +11,7 @@ pub mod reference;
 mod site;
 pub(crate) mod tolerance;
 
-pub use site::{Baseline, SiteAnalyses, SiteMethods, site_analyses, site_methods};
+pub use site::{Baseline, PeakLimits, SiteAnalyses, SiteMethods, site_analyses, site_methods};
 
 use crate::gap::GapError;
 use crate::greens::GreensError;
@@ -204,7 +204,7 @@ impl Verification {
 }
 
 /// Scores the analysis and two chains of methods on a site with truth, and adds the table; with it the numpy baseline,
-/// where there is one.
+/// where there is one. A second table says what noise and spread allow.
 pub fn add_site(
     out: &mut Verification,
     site: &Site,
@@ -212,7 +212,8 @@ pub fn add_site(
     baseline: Option<&Baseline>,
     progress: &dyn Progress,
 ) -> Result<(), VerifyError> {
-    out.tables.push(site_methods(site, truth, progress)?.table(baseline));
+    let found = site_methods(site, truth, progress)?;
+    out.tables.extend([found.table(baseline), found.limits.table(&found.site)]);
     Ok(())
 }
 

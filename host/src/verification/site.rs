@@ -4,13 +4,15 @@
 mod baseline;
 mod chain;
 mod known_geometry;
+mod limits;
 
 pub use self::baseline::Baseline;
 use self::chain::{Chains, DisplacementChain};
+pub use self::limits::PeakLimits;
 use super::{Table, VerifyError};
 use crate::analysis::{Analysis, Interval};
 use crate::ballast::BallastParameters;
-use crate::identify::identify;
+use crate::identify::{IdentifiedSite, identify};
 use crate::pipeline::{PipelineError, evaluate};
 use crate::progress::Progress;
 use crate::recording::Site;
@@ -27,6 +29,8 @@ pub struct SiteMethods {
     pub ballast: [[Interval; 3]; 2],
     /// Ballast by eq. 1, where there is a scan.
     pub known_geometry: Option<BallastParameters>,
+    /// What the peaks cannot be known better than.
+    pub limits: PeakLimits,
 }
 
 const OURS: &str = "cpcm analyse";
@@ -46,12 +50,15 @@ pub struct SiteAnalyses {
 
 /// Analyses a site by all methods.
 pub fn site_analyses(site: &Site, progress: &dyn Progress) -> Result<SiteAnalyses, VerifyError> {
-    let identified = identify(site, progress).map_err(PipelineError::from)?;
-    let analysis = evaluate(&identified, progress)?;
-    let chain = DisplacementChain::new(&identified)?;
+    analyses_of(&identify(site, progress).map_err(PipelineError::from)?, progress)
+}
+
+fn analyses_of(identified: &IdentifiedSite, progress: &dyn Progress) -> Result<SiteAnalyses, VerifyError> {
+    let analysis = evaluate(identified, progress)?;
+    let chain = DisplacementChain::new(identified)?;
     let mut others = Vec::new();
     for (name, kind) in [(PAPER, Chains::Paper), (BETWEEN, Chains::Between)] {
-        progress.begin("force from displacement", site.passages.len() as u64);
+        progress.begin("force from displacement", identified.site.passages.len() as u64);
         others.push((name, chain.analysis(&analysis, kind, progress)?));
     }
     let mut methods = vec![(OURS, analysis)];
@@ -61,7 +68,8 @@ pub fn site_analyses(site: &Site, progress: &dyn Progress) -> Result<SiteAnalyse
 
 /// Analyses a site by all methods and scores them.
 pub fn site_methods(site: &Site, truth: &Truth, progress: &dyn Progress) -> Result<SiteMethods, VerifyError> {
-    let all = site_analyses(site, progress)?;
+    let identified = identify(site, progress).map_err(PipelineError::from)?;
+    let all = analyses_of(&identified, progress)?;
     let p = all.quasi_static;
     let point = |value: f64| Interval { value, lower: f64::NAN, upper: f64::NAN };
     let analysis = all.methods.first().map(|m| &m.1).ok_or(VerifyError::Empty("list of methods"))?;
@@ -70,6 +78,7 @@ pub fn site_methods(site: &Site, truth: &Truth, progress: &dyn Progress) -> Resu
     let known_geometry = known_geometry::calibrate(site, BallastParameters::NOMINAL)?;
     progress.step();
     Ok(SiteMethods {
+        limits: PeakLimits::new(identified, analysis, truth, progress)?,
         known_geometry,
         site: analysis.crossing.name.clone(),
         methods: all.methods.iter().map(|(name, a)| (*name, score(a, truth))).collect(),

@@ -1,0 +1,122 @@
+//! What the peaks cannot be known better than: noise, what wheels have of their own, and what looks alike to one sensor.
+
+use super::super::{Table, VerifyError};
+use crate::analysis::Analysis;
+use crate::ballast::BallastParameters;
+use crate::forces::{Causes, Spread};
+use crate::identify::IdentifiedSite;
+use crate::inverse::hierarchy::kinds;
+use crate::pipeline::{PipelineError, evaluate};
+use crate::progress::Progress;
+use crate::recording::truth::Truth;
+use crate::scoring::{Score, score};
+use crate::signal::{mean, quantile};
+
+/// Median of |e| over the standard deviation of a normal e.
+const MEDIAN_OF_NORMAL: f64 = 0.6745;
+
+/// Standard deviations of a peak force that the posterior states, relative to the peak, and what was reached.
+pub struct PeakLimits {
+    /// Noise of the recording, what a wheel has of its own, its load.
+    pub own: f64,
+    /// Force profile that all wheels share: mostly, a force on the stock rail looks like one on the crossing rail.
+    pub profile: f64,
+    /// Ballast.
+    pub ballast: f64,
+    /// Position that all passages share.
+    pub position: f64,
+    /// Score of the analysis.
+    reached: Score,
+    /// Score with the true ballast instead of the calibrated one, where it is of the calibrated form.
+    on_true_ballast: Option<Score>,
+}
+
+impl PeakLimits {
+    /// Of a site; `analysis` is that of `identified`, which is used up.
+    pub(super) fn new(
+        identified: IdentifiedSite,
+        analysis: &Analysis,
+        truth: &Truth,
+        progress: &dyn Progress,
+    ) -> Result<Self, VerifyError> {
+        let reached = score(analysis, truth);
+        let [own, profile, ballast, position] = relative(&identified, analysis)?;
+        let on_true_ballast = match reached.ballast_truth {
+            Some([p1_n_m2, p2_n_m2, p3]) => {
+                let known = BallastParameters { p1_n_m2, p2_n_m2, p3 };
+                let identified = identified.on_ballast(known, progress).map_err(PipelineError::from)?;
+                Some(score(&evaluate(&identified, progress)?, truth))
+            }
+            None => None,
+        };
+        Ok(Self { own, profile, ballast, position, reached, on_true_ballast })
+    }
+
+    /// What all wheels of the site share: it moves the errors of all its peaks together.
+    pub fn shared(&self) -> f64 {
+        self.profile.hypot(self.ballast).hypot(self.position)
+    }
+
+    /// Median error to be expected of a peak.
+    pub fn median(&self) -> f64 {
+        MEDIAN_OF_NORMAL * self.own.hypot(self.shared())
+    }
+
+    /// Mean error of the peaks with its sign, relative: what all wheels have wrong alike.
+    pub fn mean_error(&self) -> f64 {
+        mean(&self.reached.peak_signed)
+    }
+
+    /// One line: what is allowed, and what was reached.
+    pub fn table(&self, site: &str) -> Table {
+        let mut table = Table::new(
+            &format!("What noise and spread allow for the peaks, site {site}"),
+            "Standard deviations of a wheelset's peak force in the posterior, in % of the peak: of each wheel by itself; of what all \
+             wheels of the site share, with its parts (the common profile mostly because a force on the stock rail looks like one on \
+             the crossing rail); the median error to be expected from both, and the one reached; the mean \
+             error with its sign, which is the shared part's; the same two with the true ballast put in.",
+            &[
+                "own",
+                "shared",
+                "common profile",
+                "ballast",
+                "position",
+                "median expected",
+                "median",
+                "mean, signed",
+                "true ballast: median",
+                "mean, signed",
+            ],
+        );
+        let percent = |v: f64| format!("{:.2} %", 100.0 * v);
+        let scored = |s: Option<&Score>| match s {
+            Some(s) => [percent(Score::median(&s.peak)), percent(mean(&s.peak_signed))],
+            None => ["-".into(), "-".into()],
+        };
+        let sds = [self.own, self.shared(), self.profile, self.ballast, self.position, self.median()];
+        let mut row = sds.map(percent).to_vec();
+        row.extend([Some(&self.reached), self.on_true_ballast.as_ref()].map(scored).concat());
+        table.row(&row);
+        table
+    }
+}
+
+/// Standard deviations by cause at the peak, relative to it, root mean square over the kinds of axles.
+fn relative(identified: &IdentifiedSite, analysis: &Analysis) -> Result<[f64; 4], VerifyError> {
+    let wheels = || analysis.passages.iter().flat_map(|p| &p.wheelsets);
+    let at_m = quantile(&wheels().map(|w| w.peak_position_m).collect::<Vec<_>>(), 0.5);
+    let peak_n = quantile(&wheels().map(|w| w.peak_force_n.value).collect::<Vec<_>>(), 0.5);
+    let spread = Spread::new(identified).map_err(PipelineError::from)?;
+    let of_kinds = kinds(&identified.pattern);
+    let axles =
+        of_kinds.iter().enumerate().flat_map(|(k, kind)| (0..kind.offsets.own.len()).map(move |a| (k, a)));
+    let (mut squares, mut count) = ([0.0; 4], 0usize);
+    for (kind, axle) in axles {
+        let Causes { own_n, profile_n, ballast_n, position_n } = spread.causes(kind, axle, &[at_m]);
+        for (sum, sd_n) in squares.iter_mut().zip([own_n, profile_n, ballast_n, position_n]) {
+            *sum += sd_n.iter().map(|s| (s / peak_n).powi(2)).sum::<f64>();
+        }
+        count += 1;
+    }
+    Ok(squares.map(|s| (s / count.max(1) as f64).sqrt()))
+}

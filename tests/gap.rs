@@ -455,6 +455,16 @@ fn property_a_passage_a_wave_off_is_found_again() {
     }
 }
 
+/// The path of the stock rail, which nobody scans, was held to depart from the scan.
+#[test]
+fn regress_a_stock_rail_as_rough_as_rails_are_leaves_no_gap() {
+    let work = tempfile::tempdir().unwrap();
+    let (scenario, drawn) = scenario_of(19, 0, work.path()).unwrap();
+    assert!(drawn.is_empty(), "{drawn:?}");
+    let found = quick(&simulate(&scenario, &Silent).unwrap().site).unwrap();
+    assert_eq!(found.verdict, Verdict::NoGap, "{:?}", found.remarks);
+}
+
 /// Ballast takes over what soft pads do, and leaves no gap where pads are not in the catalogue.
 #[test]
 fn regress_ballast_that_no_bed_has_is_told() {

@@ -35,8 +35,8 @@ pub fn closed(gap: &Gap) -> bool {
     excess(gap.after, gap.noise_floor) < NO_GAP
 }
 
-/// The verdict on a gap with the effects found; `untenable`: however small the gap, the scan rules out the path of the model,
-/// the operator's speeds the recorder's clock, or wheels differ more than sound ones do.
+/// The verdict on a gap with the effects found; `untenable`: however small the gap, the path or the ballast of the model can
+/// hardly be, the operator's speeds the recorder's clock, or wheels differ more than sound ones do.
 pub fn verdict(gap: &Gap, effects: &[Named], untenable: bool) -> Verdict {
     let closes = excess(gap.after, gap.noise_floor) < 0.5 * NO_GAP;
     match effects.is_empty() {

@@ -10,6 +10,7 @@ use crate::gap::effect::{Effect, Stage, Witness};
 use crate::gap::fit::{Fit, State, simulate, whitened};
 use crate::gap::forward::Response;
 use crate::signal::dot;
+use crate::track::Side;
 
 /// Probability that temperatures shuffled among the passages would go with their scale as well, above which a gain does not
 /// follow the temperature: trains differ by chance.
@@ -41,11 +42,19 @@ impl Session<'_> {
 
     /// What denies the model in a state, however small the gap.
     pub(super) fn denials(&self, state: &State) -> Vec<Denial> {
-        let path = state.untenable(&self.base.frame).then(|| Denial {
+        let path = state.untenable(&self.base.frame).map(|side| Denial {
             stage: None,
-            remark: "model and recordings agree only over a path that departs from the laser scan more than scans do: scan again, or \
+            remark: match side {
+                Side::Crossing => {
+                    "model and recordings agree only over a path that departs from the laser scan more than scans do: scan again, or \
                      something acts that is not in the catalogue"
-                .into(),
+                }
+                Side::Stock => {
+                    "model and recordings agree only over a stock rail that is rougher than rails are: look at it, or something acts \
+                     that is not in the catalogue"
+                }
+            }
+            .into(),
         });
         let bed = state.odd_bed().then(|| Denial {
             stage: None,

@@ -11,6 +11,17 @@ const CLEAR_M: f64 = 8.0;
 /// Longest stretch of travel in a window, metres; shorter where bogies follow one another more closely.
 const LONGEST_M: f64 = 7.25;
 
+/// Quiet stretch at each end of a recording, s: it begins and ends at least 0.3 s before and after the train.
+const QUIET_S: f64 = 0.27;
+
+/// One train-free end of a recording.
+pub struct QuietEnd {
+    /// Recorder time of the first value, s.
+    pub start_s: f64,
+    /// At [`RATE_HZ`].
+    pub value_m_s2: Vec<f64>,
+}
+
 /// One passage.
 #[derive(Clone, Debug)]
 pub struct Observed {
@@ -92,6 +103,16 @@ impl Observed {
     pub fn delay(&mut self, late_s: f64, window: (f64, f64)) {
         self.first_axle_s += late_s;
         self.cut(window);
+    }
+
+    /// What is recorded before the train comes and after it has gone.
+    pub fn quiet_ends(&self) -> [QuietEnd; 2] {
+        let n = (QUIET_S * RATE_HZ) as usize;
+        let last_s = self.recording.duration_s() - QUIET_S;
+        [0.01, last_s - 0.01].map(|start_s| QuietEnd {
+            start_s,
+            value_m_s2: self.recording.window(start_s, RATE_HZ, n, BAND_HZ),
+        })
     }
 
     /// Delay of the recording behind a prediction at which both agree best, s, among `range_m` of travel in both directions.

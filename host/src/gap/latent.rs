@@ -58,6 +58,8 @@ pub struct LatentFit {
     pub gain: f64,
     /// Values with intervals: name, value, lower, upper.
     pub parameters: Vec<(&'static str, f64, f64, f64)>,
+    /// Whether it shows in what is recorded while no train is near, whatever the model.
+    pub apart: bool,
     /// Share of the wheels that have it; none for an effect of the recordings.
     pub wheel_share: Option<f64>,
     /// What it adds to every window: passage, bogie.
@@ -75,10 +77,6 @@ pub trait Latent: Sync + Send {
     /// What it acts on.
     fn acts_on(&self) -> ActsOn {
         if self.stage() == Stage::Vehicle { ActsOn::Wheels } else { ActsOn::Recordings }
-    }
-    /// Whether it is learnt from what is recorded while no train is near, whatever the model.
-    fn learnt_without_trains(&self) -> bool {
-        false
     }
     /// Looks for the effect; `None` when there is no trace of it.
     fn explore(&self, scene: &Scene) -> Option<LatentFit>;

@@ -79,7 +79,7 @@ pub(super) struct Candidate {
     mends: bool,
     pub(super) full: bool,
     acts_on: ActsOn,
-    /// Learnt while no train is near.
+    /// Shows while no train is near.
     apart: bool,
 }
 
@@ -239,13 +239,13 @@ impl Session<'_> {
         let latent = latent.iter().map(|(e, f, moved)| {
             let share = f.as_ref().map_or(0.0, |f| self.share_of(f));
             let of_wheels = e.acts_on() == ActsOn::Wheels;
-            let apart = e.learnt_without_trains();
+            let apart = f.as_ref().is_some_and(|f| f.apart);
             let least = if apart { APART_SHARE } else { asked(LATENT_SHARE, self.described()) };
             let full = (share > least || *moved > DISPLACEMENT_SHARE)
                 && !(of_wheels && f.as_ref().is_some_and(|f| self.shared_by_bogies(f) > MOST_SHARED))
                 && !f.as_ref().is_some_and(everywhere);
             // What a lost model leaves over is no wheel's; elsewhere the mean says nothing of single wheels, and the model nothing
-            // of what is learnt without trains.
+            // of what shows without trains.
             let doubt = LATENT_INFLATION * if reference.lost() && !apart { inflation } else { 1.0 };
             let gain = f.as_ref().map_or(0.0, |f| f.gain) / doubt;
             let gain = if full { gain } else { gain.min(0.5 * LEAST_GAIN) };
@@ -480,7 +480,7 @@ fn put_wheels_first(list: &mut [Candidate]) {
     put_first(list, |c| c.acts_on == ActsOn::Wheels, |c| c.acts_on == ActsOn::Panel);
 }
 
-/// What is learnt without trains needs no model, and spoils every fit as long as it is in the windows.
+/// What shows without trains needs no model, and spoils every fit as long as it is in the windows.
 fn put_apart_first(list: &mut [Candidate]) {
     put_first(list, |c| c.apart, |c| !c.apart);
 }

@@ -99,6 +99,7 @@ impl Latent for HollowWheels {
             .collect();
         let shown = Shown::simulated(scene)?;
         Some(LatentFit {
+            apart: false,
             gain,
             parameters: two.parameters(learnt.len(), &shown),
             wheel_share: Some(two.share),

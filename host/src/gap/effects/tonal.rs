@@ -5,7 +5,7 @@
 
 use rayon::prelude::*;
 
-use crate::gap::data::{Observed, RATE_HZ};
+use crate::gap::data::{Observed, QuietEnd, RATE_HZ};
 use crate::gap::effect::Stage;
 use crate::gap::forward::BAND_HZ;
 use crate::gap::latent::{Latent, LatentFit, Scene};
@@ -19,8 +19,6 @@ const SEARCH_HZ: (f64, f64, f64) = (8.0, 248.0, 0.1);
 /// The ends are some two seconds apart, so frequencies about half a hertz apart fit them nearly as well, and between the steps of
 /// the search a neighbour may fit better: reach and step of the search around its best, and of the last one, Hz.
 const FINE_HZ: [(f64, f64); 2] = [(1.2, 0.02), (0.02, 0.002)];
-/// Quiet stretch at each end, s: recordings begin and end at least 0.3 s before and after the train.
-const QUIET_S: f64 = 0.27;
 /// Cost of choosing the frequency among some thousand, nats.
 const CHOICE: f64 = 10.0;
 /// The frequency is not known better than this, Hz.
@@ -28,37 +26,26 @@ const LEAST_HZ: f64 = 0.02;
 
 /// Train-free ends of a recording, each less its mean.
 struct Quiet {
-    ends: [End; 2],
+    ends: [QuietEnd; 2],
     /// Sum of squares.
     energy: f64,
 }
 
-/// One train-free end.
-struct End {
-    start_s: f64,
-    value: Vec<f64>,
-}
-
 impl Quiet {
     fn new(o: &Observed) -> Self {
-        let n = (QUIET_S * RATE_HZ) as usize;
-        let last = o.recording.duration_s() - QUIET_S;
-        Self::of(
-            [0.01, last - 0.01]
-                .map(|start_s| End { start_s, value: o.recording.window(start_s, RATE_HZ, n, BAND_HZ) }),
-        )
+        Self::of(o.quiet_ends())
     }
 
-    fn of(mut ends: [End; 2]) -> Self {
+    fn of(mut ends: [QuietEnd; 2]) -> Self {
         for end in &mut ends {
-            centre(&mut end.value);
+            centre(&mut end.value_m_s2);
         }
-        let energy = ends.iter().map(|e| dot(&e.value, &e.value)).sum();
+        let energy = ends.iter().map(|e| dot(&e.value_m_s2, &e.value_m_s2)).sum();
         Self { ends, energy }
     }
 
     fn len(&self) -> usize {
-        self.ends.iter().map(|e| e.value.len()).sum()
+        self.ends.iter().map(|e| e.value_m_s2.len()).sum()
     }
 
     fn variance(&self) -> f64 {
@@ -72,15 +59,15 @@ impl Quiet {
         for end in &self.ends {
             let phase = |k: usize| omega * (end.start_s + k as f64 / RATE_HZ);
             let [c, s] = [f64::cos, f64::sin].map(|wave| -> Vec<f64> {
-                let mut out = (0..end.value.len()).map(|k| wave(phase(k))).collect::<Vec<_>>();
+                let mut out = (0..end.value_m_s2.len()).map(|k| wave(phase(k))).collect::<Vec<_>>();
                 centre(&mut out);
                 out
             });
             for (sum, product) in g.iter_mut().zip([dot(&c, &c), dot(&c, &s), dot(&s, &s)]) {
                 *sum += product;
             }
-            b[0] += dot(&c, &end.value);
-            b[1] += dot(&s, &end.value);
+            b[0] += dot(&c, &end.value_m_s2);
+            b[1] += dot(&s, &end.value_m_s2);
         }
         let determinant = (g[0] * g[2] - g[1] * g[1]).max(f64::MIN_POSITIVE);
         let c = (g[2] * b[0] - g[1] * b[1]) / determinant;
@@ -139,10 +126,6 @@ impl Latent for Tonal {
         Stage::Sensor
     }
 
-    fn learnt_without_trains(&self) -> bool {
-        true
-    }
-
     fn explore(&self, scene: &Scene) -> Option<LatentFit> {
         let quiet: Vec<Quiet> = scene.observed.par_iter().map(Quiet::new).collect();
         let learnt: Vec<&Quiet> = scene.train.iter().map(|i| &quiet[*i]).collect();
@@ -172,6 +155,7 @@ impl Latent for Tonal {
             })
             .collect();
         Some(LatentFit {
+            apart: true,
             gain: score - CHOICE,
             parameters: vec![
                 ("frequency_hz", frequency, likely[0], likely[1]),
@@ -202,8 +186,8 @@ mod tests {
                         let at = |k: usize| frequency_hz * (start_s + k as f64 / RATE_HZ) + turn;
                         let noise = |random: &mut Random| 0.1 * random.normal();
                         let wave = |k: usize| (std::f64::consts::TAU * at(k)).cos();
-                        let value = (0..216).map(|k| amplitude_m_s2 * wave(k) + noise(random)).collect();
-                        End { start_s, value }
+                        let value_m_s2 = (0..216).map(|k| amplitude_m_s2 * wave(k) + noise(random)).collect();
+                        QuietEnd { start_s, value_m_s2 }
                     };
                     Quiet::of([end(0.01, &mut random), end(last, &mut random)])
                 })

@@ -97,6 +97,7 @@ impl Latent for WheelFlat {
             .map(|i| windows(scene, i, &paths, area, share))
             .collect();
         Some(LatentFit {
+            apart: false,
             gain: net,
             parameters: vec![
                 (

@@ -95,6 +95,7 @@ impl Latent for WheelOutOfRoundness {
         let traces = scene.spread(&windows);
         let order = f64::from(order);
         Some(LatentFit {
+            apart: false,
             gain: net,
             parameters: vec![
                 ("order", order, order, order),

@@ -21,6 +21,9 @@ const SEARCH_HZ: (f64, f64, f64) = (8.0, 248.0, 0.1);
 const FINE_HZ: [(f64, f64); 2] = [(1.2, 0.02), (0.02, 0.002)];
 /// Cost of choosing the frequency among some thousand, nats.
 const CHOICE: f64 = 10.0;
+/// Part of both ends' evidence that either of them has: a tone has half of it, ringing of a hanging sleeper behind the train hardly
+/// any before it.
+const LEAST_OF_EITHER: f64 = 0.2;
 /// The frequency is not known better than this, Hz.
 const LEAST_HZ: f64 = 0.02;
 
@@ -54,9 +57,13 @@ impl Quiet {
 
     /// Cosine and sine amplitude at a frequency by least squares, and what they take off the sum of squares.
     fn amplitudes(&self, f_hz: f64) -> ([f64; 2], f64) {
+        Self::amplitudes_of(&self.ends, f_hz)
+    }
+
+    fn amplitudes_of(ends: &[QuietEnd], f_hz: f64) -> ([f64; 2], f64) {
         let omega = std::f64::consts::TAU * f_hz;
         let (mut g, mut b) = ([0.0; 3], [0.0; 2]);
-        for end in &self.ends {
+        for end in ends {
             let phase = |k: usize| omega * (end.start_s + k as f64 / RATE_HZ);
             let [c, s] = [f64::cos, f64::sin].map(|wave| -> Vec<f64> {
                 let mut out = (0..end.value_m_s2.len()).map(|k| wave(phase(k))).collect::<Vec<_>>();
@@ -75,14 +82,34 @@ impl Quiet {
         ([c, s], c * b[0] + s * b[1])
     }
 
-    /// Log likelihood ratio with the best sinusoid at a frequency.
+    /// Log likelihood ratio with the best sinusoid at a frequency, its cost taken off.
     fn gain(&self, f_hz: f64) -> f64 {
-        let all = self.energy;
-        let left = (all - self.amplitudes(f_hz).1).max(LEAST_LEFT * all);
-        // Band-limited noise has fewer independent values than samples.
-        let n = self.len() as f64 * 2.0 * BAND_HZ[1] / RATE_HZ;
-        0.5 * n * (all / left.max(f64::MIN_POSITIVE)).ln() - 2.0
+        likelihood_ratio(self.energy, self.amplitudes(f_hz).1, self.len()) - 2.0
     }
+
+    /// The same of each end with a sinusoid of its own, before the train and behind it, without the cost.
+    fn gains_alone(&self, f_hz: f64) -> [f64; 2] {
+        self.ends.each_ref().map(|end| {
+            let (_, taken) = Self::amplitudes_of(std::slice::from_ref(end), f_hz);
+            likelihood_ratio(dot(&end.value_m_s2, &end.value_m_s2), taken, end.value_m_s2.len())
+        })
+    }
+}
+
+fn likelihood_ratio(energy: f64, taken: f64, samples: usize) -> f64 {
+    let left = (energy - taken).max(LEAST_LEFT * energy);
+    // Band-limited noise has fewer independent values than samples.
+    let n = samples as f64 * 2.0 * BAND_HZ[1] / RATE_HZ;
+    0.5 * n * (energy / left.max(f64::MIN_POSITIVE)).max(1.0).ln()
+}
+
+/// Whether a sinusoid is there before the train as it is behind it: what rings behind it only is the track.
+fn always_there(quiet: &[&Quiet], f_hz: f64) -> bool {
+    let [before, behind] = quiet.iter().fold([0.0; 2], |sum, q| {
+        let alone = q.gains_alone(f_hz);
+        [sum[0] + alone[0], sum[1] + alone[1]]
+    });
+    before.min(behind) > LEAST_OF_EITHER * (before + behind)
 }
 
 /// Part of the energy that rounding may leave.
@@ -130,7 +157,7 @@ impl Latent for Tonal {
         let quiet: Vec<Quiet> = scene.observed.par_iter().map(Quiet::new).collect();
         let learnt: Vec<&Quiet> = scene.train.iter().map(|i| &quiet[*i]).collect();
         let (score, frequency, likely) = strongest(&learnt)?;
-        if score <= CHOICE {
+        if score <= CHOICE || !always_there(&learnt, frequency) {
             return None;
         }
         let squares: Vec<f64> =
@@ -196,5 +223,31 @@ mod tests {
             assert!((found - frequency_hz).abs() < 0.02, "{found} of {frequency_hz}");
             assert!(low <= frequency_hz && frequency_hz <= high && high - low < 0.1, "{low} {high}");
         }
+    }
+
+    /// Interference before and behind the train, and a sleeper that rings behind it.
+    #[test]
+    fn regress_what_rings_behind_the_train_is_no_interference() {
+        let mut random = Random::new(4, 0);
+        let mut site = |before_m_s2: f64| -> Vec<Quiet> {
+            (0..8)
+                .map(|_| {
+                    let turn = random.unit();
+                    let mut end = |start_s: f64, amplitude_m_s2: f64| {
+                        let wave = |k: usize| {
+                            let at = 47.0 * (start_s + k as f64 / RATE_HZ) + turn;
+                            (std::f64::consts::TAU * at).cos()
+                        };
+                        let value_m_s2 =
+                            (0..216).map(|k| amplitude_m_s2 * wave(k) + 0.05 * random.normal()).collect();
+                        QuietEnd { start_s, value_m_s2 }
+                    };
+                    Quiet::of([end(0.01, before_m_s2), end(2.3, 0.4)])
+                })
+                .collect()
+        };
+        let (tone, ringing) = (site(0.4), site(0.0));
+        assert!(always_there(&tone.iter().collect::<Vec<_>>(), 47.0));
+        assert!(!always_there(&ringing.iter().collect::<Vec<_>>(), 47.0));
     }
 }

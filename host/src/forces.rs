@@ -119,6 +119,8 @@ pub struct Causes {
     pub ballast_n: Vec<f64>,
     /// Position that all passages share.
     pub position_n: Vec<f64>,
+    /// All of them together.
+    pub all_n: Vec<f64>,
 }
 
 impl Spread {
@@ -139,30 +141,24 @@ impl Spread {
 
     /// Of an axle of a kind of group, at positions.
     pub fn sd_n(&self, kind: usize, axle: usize, position_m: &[f64]) -> Vec<f64> {
-        let causes = self.causes(kind, axle, position_m);
-        (0..position_m.len())
-            .map(|i| causes.each().iter().map(|c| c[i].powi(2)).sum::<f64>().sqrt())
-            .collect()
+        self.on(&self.causes[kind][axle].all_n, position_m)
     }
 
     /// The same cause by cause.
     pub fn causes(&self, kind: usize, axle: usize, position_m: &[f64]) -> Causes {
-        let on = |sd_n: &[f64]| -> Vec<f64> {
-            on_grid(&self.position_m, sd_n, position_m).iter().map(|s| s.max(0.0)).collect()
-        };
         let c = &self.causes[kind][axle];
+        let on = |sd_n: &[f64]| self.on(sd_n, position_m);
         Causes {
             own_n: on(&c.own_n),
             profile_n: on(&c.profile_n),
             ballast_n: on(&c.ballast_n),
             position_n: on(&c.position_n),
+            all_n: on(&c.all_n),
         }
     }
-}
 
-impl Causes {
-    fn each(&self) -> [&[f64]; 4] {
-        [&self.own_n, &self.profile_n, &self.ballast_n, &self.position_n]
+    fn on(&self, sd_n: &[f64], position_m: &[f64]) -> Vec<f64> {
+        on_grid(&self.position_m, sd_n, position_m).iter().map(|s| s.max(0.0)).collect()
     }
 }
 
@@ -183,12 +179,14 @@ fn causes_of(
     let known: Mat<f64> = Mat::from_fn(3, 3, |i, j| site.ballast.covariance[i][j]);
     let causes = gains.iter().zip(&ballast).map(|(axle, ballast)| {
         let slope = slope_n_m(position_m, &axle.base_n);
-        Causes {
-            own_n: axle.sd_n.clone(),
-            profile_n: deviations(&axle.profile, &(&axle.profile * profile_covariance)),
-            ballast_n: deviations(ballast, &(ballast * &known)),
-            position_n: slope.iter().map(|s| (s * site.ballast.shift_sd_m).abs()).collect(),
-        }
+        let own_n = axle.sd_n.clone();
+        let profile_n = deviations(&axle.profile, &(&axle.profile * profile_covariance));
+        let ballast_n = deviations(ballast, &(ballast * &known));
+        let position_n: Vec<f64> = slope.iter().map(|s| (s * site.ballast.shift_sd_m).abs()).collect();
+        let parts = [&own_n, &profile_n, &ballast_n, &position_n];
+        let all = |i: usize| parts.iter().map(|p| p[i].powi(2)).sum::<f64>().sqrt();
+        let all_n = (0..position_m.len()).map(all).collect();
+        Causes { own_n, profile_n, ballast_n, position_n, all_n }
     });
     Ok(causes.collect())
 }

@@ -77,7 +77,8 @@ impl IdentifiedSite<'_> {
         self.recordings[index].window(start_s, rate, estimator.len(), band)
     }
 
-    /// The same site with another ballast than the calibrated one: everything that follows from it found anew.
+    /// The same site with other values of the ballast than the calibrated ones: forces that all wheels share and axle times found
+    /// anew; the state of the calibration and its covariance stay.
     pub fn on_ballast(
         mut self,
         ballast: BallastParameters,
@@ -85,13 +86,7 @@ impl IdentifiedSite<'_> {
     ) -> Result<Self, IdentifyError> {
         self.ballast.parameters = ballast;
         (self.greens, self.nearby_greens) = calibrated_greens(&self.track, &ballast);
-        let mut passages: Vec<SitePassage> = (0..self.recordings.len())
-            .map(|i| SitePassage {
-                recording: &self.recordings[i],
-                timing: self.timings[i],
-                static_force_n: self.static_force_n[i],
-            })
-            .collect();
+        let mut passages = site_passages(&self.recordings, &self.timings, &self.static_force_n);
         (self.prior, self.posterior) =
             common_force(&self.greens, self.direction, &self.pattern, &mut passages, progress)?;
         self.timings = passages.iter().map(|p| p.timing).collect();
@@ -133,13 +128,9 @@ pub fn identify<'s>(site: &'s Site, progress: &dyn Progress) -> Result<Identifie
         (0..recordings.len()).map(|i| (&recordings[i], speeds[i], static_force_n[i])).collect();
     let quasi_static = QuasiStatic::new(&track, direction, &pattern, &inputs).fit(BallastParameters::NOMINAL);
     progress.step();
-    let mut passages: Vec<SitePassage> = (0..recordings.len())
-        .map(|i| SitePassage {
-            recording: &recordings[i],
-            timing: Timing { speed_m_s: speeds[i], first_axle_s: quasi_static.first_axle_s[i] },
-            static_force_n: static_force_n[i],
-        })
-        .collect();
+    let found = speeds.iter().zip(&quasi_static.first_axle_s);
+    let timings: Vec<Timing> = found.map(|(v, t)| Timing { speed_m_s: *v, first_axle_s: *t }).collect();
+    let mut passages = site_passages(&recordings, &timings, &static_force_n);
     let problem = EvidenceProblem::new(&track, direction, &pattern, &crossing.vehicle);
     let (calibration, ballast) = calibrate(&problem, &quasi_static, &mut passages, progress)?;
     let (greens, nearby_greens) = calibrated_greens(&track, &ballast.parameters);
@@ -162,6 +153,20 @@ pub fn identify<'s>(site: &'s Site, progress: &dyn Progress) -> Result<Identifie
         greens,
         nearby_greens,
     })
+}
+
+fn site_passages<'r>(
+    recordings: &'r [Recording],
+    timings: &[Timing],
+    static_force_n: &[f64],
+) -> Vec<SitePassage<'r>> {
+    let known = timings.iter().zip(static_force_n);
+    let passage = |(recording, (timing, force)): (&'r Recording, (&Timing, &f64))| SitePassage {
+        recording,
+        timing: *timing,
+        static_force_n: *force,
+    };
+    recordings.iter().zip(known).map(passage).collect()
 }
 
 /// Green's functions on a ballast, and on ballast with each of (ln p1, ln p2, p3) moved by a step.

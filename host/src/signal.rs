@@ -89,6 +89,12 @@ pub fn mean(values: &[f64]) -> f64 {
     if values.is_empty() { 0.0 } else { values.iter().sum::<f64>() / values.len() as f64 }
 }
 
+/// Takes the mean off, in place.
+pub fn centre(values: &mut [f64]) {
+    let mean = mean(values);
+    values.iter_mut().for_each(|v| *v -= mean);
+}
+
 /// Sum of products of two slices, up to the length of the shorter one.
 pub fn dot(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(x, y)| x * y).sum()

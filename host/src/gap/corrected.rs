@@ -9,6 +9,7 @@ use std::path::Path;
 
 use serde_json::Value;
 
+use super::data::QUIET_S;
 use super::effects::support_loss;
 use super::world::REFERENCE_C;
 use crate::recording::files::read_bytes;
@@ -196,9 +197,6 @@ fn without_mount(passage: &mut Passage, frequency_hz: f64, damping: f64) {
     let restored = irfft(&spectrum, padded);
     passage.acceleration_m_s2 = restored[..n].iter().map(|a| *a as f32).collect();
 }
-
-/// Recordings begin and end at least this long before and after the train, s.
-const QUIET_S: f64 = 0.27;
 
 /// Takes the sinusoid off that fits the train-free ends best.
 fn without_tone(passage: &mut Passage, frequency_hz: f64) {

@@ -12,7 +12,7 @@ const CLEAR_M: f64 = 8.0;
 const LONGEST_M: f64 = 7.25;
 
 /// Quiet stretch at each end of a recording, s: it begins and ends at least 0.3 s before and after the train.
-const QUIET_S: f64 = 0.27;
+pub const QUIET_S: f64 = 0.27;
 
 /// One train-free end of a recording.
 pub struct QuietEnd {

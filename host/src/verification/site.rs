@@ -77,11 +77,13 @@ pub fn site_methods(site: &Site, truth: &Truth, progress: &dyn Progress) -> Resu
     progress.begin("calibration over the scan", 1);
     let known_geometry = known_geometry::calibrate(site, BallastParameters::NOMINAL)?;
     progress.step();
+    let methods: Vec<(&str, Score)> = all.methods.iter().map(|(name, a)| (*name, score(a, truth))).collect();
+    let reached = methods.first().map(|m| m.1.clone()).ok_or(VerifyError::Empty("list of methods"))?;
     Ok(SiteMethods {
-        limits: PeakLimits::new(identified, analysis, truth, progress)?,
+        limits: PeakLimits::new(identified, analysis, reached, truth, progress)?,
         known_geometry,
         site: analysis.crossing.name.clone(),
-        methods: all.methods.iter().map(|(name, a)| (*name, score(a, truth))).collect(),
+        methods,
         ballast: [[b.p1_n_m2, b.p2_n_m2, b.p3], [point(p.p1_n_m2), point(p.p2_n_m2), point(p.p3)]],
     })
 }

@@ -9,7 +9,7 @@ use crate::gap::GapError;
 use crate::gap::effect::{Effect, Stage, Witness};
 use crate::gap::fit::{Fit, State, simulate, whitened};
 use crate::gap::forward::Response;
-use crate::signal::dot;
+use crate::signal::{centre, dot};
 use crate::track::Side;
 
 /// Probability that temperatures shuffled among the passages would go with their scale as well, above which a gain does not
@@ -118,8 +118,9 @@ impl Session<'_> {
 /// How often shuffled `x` go with `y` at least as well as `x` do, both freed of what goes with `z`.
 fn chance(y: &[f64], x: &[f64], z: &[f64]) -> f64 {
     let centred = |v: &[f64]| -> Vec<f64> {
-        let mean = crate::signal::mean(v);
-        v.iter().map(|a| a - mean).collect()
+        let mut out = v.to_vec();
+        centre(&mut out);
+        out
     };
     let z = centred(z);
     let freed = |v: &[f64]| -> Vec<f64> {

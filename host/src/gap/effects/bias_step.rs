@@ -11,7 +11,7 @@ use rayon::prelude::*;
 use crate::gap::data::{QuietEnd, RATE_HZ};
 use crate::gap::effect::Stage;
 use crate::gap::latent::{Latent, LatentFit, Scene};
-use crate::signal::{dot, irfft, rfft, rfft_frequencies_hz, taper};
+use crate::signal::{centre, dot, irfft, rfft, rfft_frequencies_hz, taper};
 
 /// See the module.
 pub struct BiasStep;
@@ -108,8 +108,7 @@ fn decaying([before, behind]: &[QuietEnd; 2], decay_s: f64) -> (f64, f64) {
     let fall = (0..behind.value_m_s2.len()).map(|k| (-(k as f64) / (RATE_HZ * decay_s)).exp());
     let mut x: Vec<f64> = before.value_m_s2.iter().map(|_| 0.0).chain(fall).collect();
     for v in [&mut x, &mut y] {
-        let mean = crate::signal::mean(v);
-        v.iter_mut().for_each(|a| *a -= mean);
+        centre(v);
     }
     let size_m_s2 = dot(&x, &y) / dot(&x, &x).max(f64::MIN_POSITIVE);
     (size_m_s2 * dot(&x, &y) / dot(&y, &y).max(f64::MIN_POSITIVE), size_m_s2)

@@ -9,7 +9,7 @@ use crate::gap::data::{Observed, QuietEnd, RATE_HZ};
 use crate::gap::effect::Stage;
 use crate::gap::forward::BAND_HZ;
 use crate::gap::latent::{Latent, LatentFit, Scene};
-use crate::signal::dot;
+use crate::signal::{centre, dot};
 
 /// See the module.
 pub struct Tonal;
@@ -114,11 +114,6 @@ fn always_there(quiet: &[&Quiet], f_hz: f64) -> bool {
 
 /// Part of the energy that rounding may leave.
 const LEAST_LEFT: f64 = 1e-12;
-
-fn centre(values: &mut [f64]) {
-    let mean = crate::signal::mean(values);
-    values.iter_mut().for_each(|v| *v -= mean);
-}
 
 /// Best frequency of recordings: log evidence before the cost of choosing, value and 90 % interval, Hz.
 fn strongest(quiet: &[&Quiet]) -> Option<(f64, f64, [f64; 2])> {

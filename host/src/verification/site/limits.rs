@@ -32,14 +32,14 @@ pub struct PeakLimits {
 }
 
 impl PeakLimits {
-    /// Of a site; `analysis` is that of `identified`, which is used up.
+    /// Of a site; `analysis` is that of `identified`, which is used up, `reached` its score.
     pub(super) fn new(
         identified: IdentifiedSite,
         analysis: &Analysis,
+        reached: Score,
         truth: &Truth,
         progress: &dyn Progress,
     ) -> Result<Self, VerifyError> {
-        let reached = score(analysis, truth);
         let [own, profile, ballast, position] = relative(&identified, analysis)?;
         let on_true_ballast = match reached.ballast_truth {
             Some([p1_n_m2, p2_n_m2, p3]) => {
@@ -112,7 +112,7 @@ fn relative(identified: &IdentifiedSite, analysis: &Analysis) -> Result<[f64; 4]
         of_kinds.iter().enumerate().flat_map(|(k, kind)| (0..kind.offsets.own.len()).map(move |a| (k, a)));
     let (mut squares, mut count) = ([0.0; 4], 0usize);
     for (kind, axle) in axles {
-        let Causes { own_n, profile_n, ballast_n, position_n } = spread.causes(kind, axle, &[at_m]);
+        let Causes { own_n, profile_n, ballast_n, position_n, .. } = spread.causes(kind, axle, &[at_m]);
         for (sum, sd_n) in squares.iter_mut().zip([own_n, profile_n, ballast_n, position_n]) {
             *sum += sd_n.iter().map(|s| (s / peak_n).powi(2)).sum::<f64>();
         }

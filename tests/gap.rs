@@ -308,6 +308,25 @@ fn property_all_clipped_recordings_name_saturation_or_nothing() {
     assert_ne!(found.verdict, Verdict::NoGap);
 }
 
+/// The search had ended with the clipping, although interference is heard without any model; and the range had been read off the
+/// crests of the interference on top of it.
+#[test]
+fn regress_interference_is_named_beside_recordings_that_clip() {
+    let work = tempfile::tempdir().unwrap();
+    let (scenario, drawn) = scenario_of(19, 57, work.path()).unwrap();
+    assert_eq!(drawn, ["saturation", "tonal"]);
+    let mut site = simulate(&scenario, &Silent).unwrap().site;
+    site.passages.truncate(8);
+    // Without the search for what the panel does, which takes most of the time.
+    let panel = COMMON.iter().filter(|e| e.stage() != Stage::Sensor).map(|e| e.name().into());
+    let options = DiagnoseOptions { exclude: panel.collect(), ..DiagnoseOptions::default() };
+    let found = diagnose(&site, &options, &Silent).unwrap();
+    assert_eq!(named(&found), ["saturation", "tonal"], "{:?} {:?}", found.verdict, found.remarks);
+    let (_, _, low, high) = found.effects[0].parameters[0];
+    let truth = scenario.simulation.effects.saturation.unwrap().range_m_s2;
+    assert!(low < truth && truth < high, "{low} … {high}, {truth}");
+}
+
 /// No scan, no speeds, one temperature: nothing acts at reference-2, and nothing is named.
 #[test]
 fn property_poor_input_without_effect_names_none() {

@@ -181,6 +181,9 @@ pub fn diagnose(
     let mut session = Session::new(site, options, &split, &search, &mut base);
     session.take(&recorder);
     let mut searched = !options.quick;
+    if searched && sensor.range_m_s2.is_some() {
+        session.search_apart()?;
+    }
     // What clipping has destroyed cannot be searched.
     if sensor.range_m_s2.is_some() && session.base.fit.inflation() > CLIPPED_MISFIT {
         session.remarks.push(

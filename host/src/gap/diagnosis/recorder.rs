@@ -15,8 +15,6 @@ const OPERATOR_SD: f64 = 0.0058;
 const CLOCK_SPREAD: f64 = 4.0;
 /// Half the width of a 90 % interval in standard deviations.
 const NINETY: f64 = 1.645;
-/// The range read off flat tops is right within this, relative.
-const RANGE_WITHIN: f64 = 0.03;
 
 const SATURATION: &str = "saturation";
 const CLOCK_ERROR: &str = "clock-error";
@@ -24,8 +22,8 @@ const CLOCK_ERROR: &str = "clock-error";
 /// What is known of the recorder, of the effects that are in the catalogue.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Recorder {
-    /// Range of a transducer that clips, m/s².
-    range_m_s2: Option<f64>,
+    /// Range of a transducer that clips, and how far it may be off, m/s².
+    range_m_s2: Option<(f64, f64)>,
     /// Error of the clock by the operator's speeds, which may be nought, with its standard deviation; relative.
     clock: Option<(f64, f64)>,
 }
@@ -43,7 +41,7 @@ impl Recorder {
     /// The recorder as the base model takes it.
     pub fn sensor(&self) -> SensorModel {
         SensorModel {
-            range_m_s2: self.range_m_s2,
+            range_m_s2: self.range_m_s2.map(|(range, _)| range),
             clock_error: self.clock.filter(shows).map_or(0.0, |(mean, _)| mean),
             ..SensorModel::default()
         }
@@ -68,9 +66,8 @@ pub(super) fn clock_by_operator(frame: &Frame) -> Option<(f64, f64)> {
 impl Session<'_> {
     /// Names what is known of the recorder and is in the base model already; what the operator's speeds tell is not searched for.
     pub(super) fn take(&mut self, recorder: &Recorder) {
-        if let Some(range) = recorder.range_m_s2 {
-            let half = RANGE_WITHIN * range;
-            self.known(SATURATION, Stage::Sensor, ("range_m_s2", range, range - half, range + half));
+        if let Some((range, within)) = recorder.range_m_s2 {
+            self.known(SATURATION, Stage::Sensor, ("range_m_s2", range, range - within, range + within));
         }
         let Some((mean, sd)) = recorder.clock else { return };
         self.common.retain(|e| e.witness() != Witness::OperatorSpeeds);

@@ -104,6 +104,23 @@ impl Session<'_> {
         Ok(())
     }
 
+    /// Takes what shows while no train is near into the model, which need not be right for that.
+    pub(super) fn search_apart(&mut self) -> Result<(), GapError> {
+        while self.named.len() < MOST_EFFECTS {
+            let mut latent = self.explore()?;
+            let reference = self.base.fit.clone();
+            let mut list = self.candidates(&[], &reference, &latent)?;
+            list.retain(|c| c.apart && c.full && c.gain > LEAST_GAIN);
+            list.sort_by(|a, b| b.gain.total_cmp(&a.gain));
+            if list.is_empty() {
+                break;
+            }
+            self.rank(&list);
+            self.accept(&list, &mut [], &mut latent)?;
+        }
+        Ok(())
+    }
+
     /// Whether the model is lost with an effect of the panel in it, over which wheels differ in ways that it does not know: what is
     /// looked for on top would mend the description of that effect.
     fn adrift(&self) -> bool {

@@ -213,6 +213,7 @@ fn wheelset_result(
     let at_peak = (0..grid.len())
         .min_by(|a, b| (grid[*a] - peak_position_m).abs().total_cmp(&(grid[*b] - peak_position_m).abs()))
         .unwrap_or(0);
+    let peak_half = HALF_WIDTH_90 * on(&force.unshifted_sd_n)[at_peak];
     let irregularity_m = irregularity_of_wheelset(
         force,
         identified.timings[index].speed_m_s,
@@ -227,7 +228,7 @@ fn wheelset_result(
         lower_n: contact_force_n.iter().zip(&half).map(|(f, h)| f - h).collect(),
         upper_n: contact_force_n.iter().zip(&half).map(|(f, h)| f + h).collect(),
         contact_force_n,
-        peak_force_n: Interval { value: peak, lower: peak - half[at_peak], upper: peak + half[at_peak] },
+        peak_force_n: Interval { value: peak, lower: peak - peak_half, upper: peak + peak_half },
         peak_position_m,
         irregularity_rms_m: rms(&irregularity_m),
         irregularity_m,

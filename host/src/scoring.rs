@@ -49,6 +49,8 @@ pub struct Score {
     pub waveform: Vec<f64>,
     /// |position error| of the peak, metres.
     pub peak_position_m: Vec<f64>,
+    /// Time by which the forces of all wheels come too late together, s.
+    pub late_s: f64,
     /// |speed error|, relative, one per passage.
     pub speed: Vec<f64>,
     /// RMS displacement error while the train passes, relative to the true peak to peak, one per passage.
@@ -83,6 +85,7 @@ pub fn score(analysis: &Analysis, truth: &Truth) -> Score {
         ..Score::default()
     };
     let (mut peaks_inside, mut points_inside, mut points) = (0usize, 0usize, 0usize);
+    let mut late = (0.0, 0.0);
     for passage in &analysis.passages {
         let static_force_n =
             analysis.crossing.vehicle.axle_load_kg * analysis.crossing.vehicle.gravity_m_s2 / 2.0;
@@ -104,6 +107,10 @@ pub fn score(analysis: &Analysis, truth: &Truth) -> Score {
             );
             score.waveform.push(square.sqrt() / range);
             score.peak_position_m.push((wheel.peak_position_m - wheel.position_m[at]).abs());
+            let part = lateness(&wheel.contact_force_n, &true_n);
+            let pace_s =
+                mean_step(&wheel.position_m) * analysis.crossing.traffic_direction.sign() / passage.speed_m_s;
+            late = (late.0 + part.0 / pace_s, late.1 + part.1 / pace_s.powi(2));
             peaks_inside +=
                 usize::from((wheel.peak_force_n.lower..=wheel.peak_force_n.upper).contains(&peak));
             points += true_n.len();
@@ -120,7 +127,24 @@ pub fn score(analysis: &Analysis, truth: &Truth) -> Score {
     }
     score.peak_coverage = peaks_inside as f64 / score.peak.len().max(1) as f64;
     score.waveform_coverage = points_inside as f64 / points.max(1) as f64;
+    score.late_s = late.0 / late.1;
     score
+}
+
+/// Sums of which the ratio is by how many samples `found` comes later than `known`, least squares.
+fn lateness(found: &[f64], known: &[f64]) -> (f64, f64) {
+    let inner = 1..known.len().saturating_sub(1);
+    inner.fold((0.0, 0.0), |(early, squares), i| {
+        let slope = 0.5 * (known[i + 1] - known[i - 1]);
+        (early + (known[i] - found[i]) * slope, squares + slope * slope)
+    })
+}
+
+fn mean_step(grid_m: &[f64]) -> f64 {
+    match grid_m {
+        [first, .., last] => (last - first) / (grid_m.len() - 1) as f64,
+        _ => f64::NAN,
+    }
 }
 
 /// RMS error over the time from the first axle 8 m before to the last 8 m behind the crossing, over peak to peak.
@@ -158,4 +182,18 @@ fn irregularity_error(analysis: &Analysis) -> f64 {
     let high = known.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     let low = known.iter().copied().fold(f64::INFINITY, f64::min);
     mean(&squares).sqrt() / (high - low)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn analytic_a_shifted_wave_is_as_late_as_it_was_shifted() {
+        let wave =
+            |late: f64| -> Vec<f64> { (0..400).map(|i| (0.05 * (f64::from(i) - late)).sin()).collect() };
+        let (early, squares) = lateness(&wave(0.3), &wave(0.0));
+        // Central differences of a wave of 126 samples are 0.04 % off.
+        assert!((early / squares - 0.3).abs() < 1e-3, "{}", early / squares);
+    }
 }

@@ -140,6 +140,7 @@ impl<'a> TruthAnalysis<'a> {
             wheelset: wheel.wheelset,
             force_n: true_force_n(wheel, crossing, self.static_n, &position_m),
             sd_n: vec![0.0; position_m.len()],
+            unshifted_sd_n: vec![0.0; position_m.len()],
             position_m,
         };
         irregularity(&force, wheel.true_speed_m_s, self.static_n, &self.rail, &crossing.vehicle, grid_m)

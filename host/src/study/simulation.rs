@@ -236,6 +236,7 @@ impl Inverse {
             wheelset: 0,
             force_n: position_m.iter().map(|x| force_n(*x)).collect(),
             sd_n: vec![0.0; position_m.len()],
+            unshifted_sd_n: vec![0.0; position_m.len()],
             position_m,
         };
         irregularity(&force, self.speed_m_s, self.static_n, &self.rail, &self.crossing.vehicle, grid)

@@ -134,6 +134,7 @@ impl<'a> DisplacementChain<'a> {
                 .map(|x| if self.inside(*x) { force_n.at(*x) } else { static_n })
                 .collect(),
             sd_n: vec![0.0; position_m.len()],
+            unshifted_sd_n: vec![0.0; position_m.len()],
             position_m,
         };
         irregularity(&force, speed, static_n, &self.rail, &self.identified.site.crossing.vehicle, grid_m)

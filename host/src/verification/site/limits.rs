@@ -23,8 +23,6 @@ pub struct PeakLimits {
     pub profile: f64,
     /// Ballast.
     pub ballast: f64,
-    /// Position that all passages share.
-    pub position: f64,
     /// Score of the analysis.
     reached: Score,
     /// Score with the true ballast instead of the calibrated one, where it is of the calibrated form.
@@ -40,7 +38,7 @@ impl PeakLimits {
         truth: &Truth,
         progress: &dyn Progress,
     ) -> Result<Self, VerifyError> {
-        let [own, profile, ballast, position] = relative(&identified, analysis)?;
+        let [own, profile, ballast] = relative(&identified, analysis)?;
         let on_true_ballast = match reached.ballast_truth {
             Some([p1_n_m2, p2_n_m2, p3]) => {
                 let known = BallastParameters { p1_n_m2, p2_n_m2, p3 };
@@ -49,12 +47,12 @@ impl PeakLimits {
             }
             None => None,
         };
-        Ok(Self { own, profile, ballast, position, reached, on_true_ballast })
+        Ok(Self { own, profile, ballast, reached, on_true_ballast })
     }
 
     /// What all wheels of the site share: it moves the errors of all its peaks together.
     pub fn shared(&self) -> f64 {
-        self.profile.hypot(self.ballast).hypot(self.position)
+        self.profile.hypot(self.ballast)
     }
 
     /// Median error to be expected of a peak.
@@ -74,18 +72,19 @@ impl PeakLimits {
             "Standard deviations of a wheelset's peak force in the posterior, in % of the peak: of each wheel by itself; of what all \
              wheels of the site share, with its parts (the common profile mostly because a force on the stock rail looks like one on \
              the crossing rail); the median error to be expected from both, and the one reached; the mean \
-             error with its sign, which is the shared part's; the same two with the true ballast put in.",
+             error with its sign, which is the shared part's; the same two with the true ballast put in; the time by which all forces come too \
+             late.",
             &[
                 "own",
                 "shared",
                 "common profile",
                 "ballast",
-                "position",
                 "median expected",
                 "median",
                 "mean, signed",
                 "true ballast: median",
                 "mean, signed",
+                "late, \u{b5}s",
             ],
         );
         let percent = |v: f64| format!("{:.2} %", 100.0 * v);
@@ -93,16 +92,17 @@ impl PeakLimits {
             Some(s) => [percent(Score::median(&s.peak)), percent(mean(&s.peak_signed))],
             None => ["-".into(), "-".into()],
         };
-        let sds = [self.own, self.shared(), self.profile, self.ballast, self.position, self.median()];
+        let sds = [self.own, self.shared(), self.profile, self.ballast, self.median()];
         let mut row = sds.map(percent).to_vec();
         row.extend([Some(&self.reached), self.on_true_ballast.as_ref()].map(scored).concat());
+        row.push(format!("{:.0}", 1e6 * self.reached.late_s));
         table.row(&row);
         table
     }
 }
 
 /// Standard deviations by cause at the peak, relative to it, root mean square over the kinds of axles.
-fn relative(identified: &IdentifiedSite, analysis: &Analysis) -> Result<[f64; 4], VerifyError> {
+fn relative(identified: &IdentifiedSite, analysis: &Analysis) -> Result<[f64; 3], VerifyError> {
     let wheels = || analysis.passages.iter().flat_map(|p| &p.wheelsets);
     let at_m = quantile(&wheels().map(|w| w.peak_position_m).collect::<Vec<_>>(), 0.5);
     let peak_n = quantile(&wheels().map(|w| w.peak_force_n.value).collect::<Vec<_>>(), 0.5);
@@ -110,10 +110,10 @@ fn relative(identified: &IdentifiedSite, analysis: &Analysis) -> Result<[f64; 4]
     let of_kinds = kinds(&identified.pattern);
     let axles =
         of_kinds.iter().enumerate().flat_map(|(k, kind)| (0..kind.offsets.own.len()).map(move |a| (k, a)));
-    let (mut squares, mut count) = ([0.0; 4], 0usize);
+    let (mut squares, mut count) = ([0.0; 3], 0usize);
     for (kind, axle) in axles {
-        let Causes { own_n, profile_n, ballast_n, position_n, .. } = spread.causes(kind, axle, &[at_m]);
-        for (sum, sd_n) in squares.iter_mut().zip([own_n, profile_n, ballast_n, position_n]) {
+        let Causes { own_n, profile_n, ballast_n, .. } = spread.causes(kind, axle, &[at_m]);
+        for (sum, sd_n) in squares.iter_mut().zip([own_n, profile_n, ballast_n]) {
             *sum += sd_n.iter().map(|s| (s / peak_n).powi(2)).sum::<f64>();
         }
         count += 1;

@@ -327,6 +327,24 @@ fn regress_interference_is_named_beside_recordings_that_clip() {
     assert!(low < truth && truth < high, "{low} … {high}, {truth}");
 }
 
+/// Interference that is no tone, which nothing in the catalogue is.
+#[test]
+fn property_unrest_before_trains_come_is_told() {
+    let mut site = small("reference-2", 6);
+    let mut random = 1_u32;
+    for a in site.passages.iter_mut().flat_map(|p| &mut p.acceleration_m_s2) {
+        random = random.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        *a += 4.0 * (random as f32 / u32::MAX as f32 - 0.5);
+    }
+    let options = DiagnoseOptions {
+        exclude: COMMON.iter().map(|e| e.name().into()).collect(),
+        ..DiagnoseOptions::default()
+    };
+    let found = diagnose(&site, &options, &Silent).unwrap();
+    assert!(says(&found, "before trains come"), "{:?}", found.remarks);
+    assert_eq!((found.verdict, found.stage), (Verdict::Unexplained, Some(Stage::Sensor)));
+}
+
 /// No scan, no speeds, one temperature: nothing acts at reference-2, and nothing is named.
 #[test]
 fn property_poor_input_without_effect_names_none() {

@@ -26,6 +26,7 @@ use super::world::SensorModel;
 use crate::ballast::BallastParameters;
 use crate::progress::Progress;
 use crate::recording::Site;
+use plausible::Unrest;
 use recorder::Recorder;
 
 /// Choices of a diagnosis.
@@ -240,6 +241,8 @@ struct Session<'a> {
     foreign_scan: bool,
     /// The recordings or the scan cannot be what they are said to be: no gap of theirs means anything.
     untrusted: bool,
+    /// What is recorded before trains come.
+    unrest: Unrest,
     /// How far the current model's residual is above the scatter of the wheels (in squares, relative), and that scatter.
     scatter: (f64, f64),
 }
@@ -270,6 +273,7 @@ impl<'a> Session<'a> {
             remarks: Vec::new(),
             foreign_scan: false,
             untrusted: false,
+            unrest: Unrest::of(&base.frame.observed, &site.crossing.sensor),
             scatter: (0.0, 0.0),
             base,
         };

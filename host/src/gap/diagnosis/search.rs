@@ -26,7 +26,7 @@ const LEAST_EXCESS: f64 = 0.15;
 /// Energy of an effect of single wheels or recordings relative to their scatter: the first one, and further ones. Less is asked of
 /// what is heard while no train is near, which no scatter can pass for.
 const LATENT_SHARE: (f64, f64) = (0.1, 0.15);
-const APART_SHARE: f64 = 0.01;
+pub(super) const APART_SHARE: f64 = 0.01;
 /// Factor by which further effects must gain more than the first one.
 const FURTHER: f64 = 1.25;
 /// What an effect must take off the residual, RMS relative to the wheels' scatter: the first one named, and further ones,

@@ -54,7 +54,7 @@ fn told(what: &str, values: &[f64]) -> (f64, f64) {
     (median, p90)
 }
 
-/// The other two sites, over soft pads and with wheels that lose contact, against what is asked of the method.
+/// All three sites, over stiff and soft pads and with wheels that lose contact, against what is asked of the method.
 #[test]
 fn reference_every_site_is_identified_within_its_intervals() {
     let others = ["reference-2", "reference-3"].map(|name| {

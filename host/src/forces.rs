@@ -35,6 +35,14 @@ pub struct WheelForce {
     pub unshifted_sd_n: Vec<f64>,
 }
 
+impl WheelForce {
+    /// A force that is given, not identified: nothing of it is uncertain.
+    pub fn given(wheelset: usize, position_m: Vec<f64>, force_n: Vec<f64>) -> Self {
+        let sd_n = vec![0.0; position_m.len()];
+        Self { wheelset, position_m, force_n, unshifted_sd_n: sd_n.clone(), sd_n }
+    }
+}
+
 /// Forces of the wheelsets of all passages, in order, over the whole stretch in which they are estimated, at the sampling
 /// rate of the Green's functions.
 pub fn all_wheel_forces(
@@ -229,7 +237,7 @@ fn deviations(a: &Mat<f64>, b: &Mat<f64>) -> Vec<f64> {
 }
 
 /// Slope of a force along equidistant positions by central differences, N/m.
-fn slope_n_m(position_m: &[f64], force_n: &[f64]) -> Vec<f64> {
+pub fn slope_n_m(position_m: &[f64], force_n: &[f64]) -> Vec<f64> {
     let last = position_m.len().saturating_sub(1);
     (0..position_m.len())
         .map(|i| {

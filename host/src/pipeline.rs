@@ -213,7 +213,8 @@ fn wheelset_result(
     let at_peak = (0..grid.len())
         .min_by(|a, b| (grid[*a] - peak_position_m).abs().total_cmp(&(grid[*b] - peak_position_m).abs()))
         .unwrap_or(0);
-    let peak_half = HALF_WIDTH_90 * on(&force.unshifted_sd_n)[at_peak];
+    let at_peak_n = on_grid(&force.position_m, &force.unshifted_sd_n, &grid[at_peak..=at_peak]);
+    let peak_half = HALF_WIDTH_90 * at_peak_n.first().copied().unwrap_or(f64::NAN);
     let irregularity_m = irregularity_of_wheelset(
         force,
         identified.timings[index].speed_m_s,

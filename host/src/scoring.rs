@@ -1,7 +1,7 @@
 //! Results against known truth: for verification, tests and the demo only. Nothing in the analysis calls this.
 
 use crate::analysis::Analysis;
-use crate::forces::LOW_PASS_HZ;
+use crate::forces::{LOW_PASS_HZ, slope_n_m};
 use crate::recording::Crossing;
 use crate::recording::truth::{Side, Truth, WheelTruth};
 use crate::signal::{CubicSpline, brick_band, mean, quantile};
@@ -107,10 +107,9 @@ pub fn score(analysis: &Analysis, truth: &Truth) -> Score {
             );
             score.waveform.push(square.sqrt() / range);
             score.peak_position_m.push((wheel.peak_position_m - wheel.position_m[at]).abs());
-            let part = lateness(&wheel.contact_force_n, &true_n);
-            let pace_s =
-                mean_step(&wheel.position_m) * analysis.crossing.traffic_direction.sign() / passage.speed_m_s;
-            late = (late.0 + part.0 / pace_s, late.1 + part.1 / pace_s.powi(2));
+            let velocity_m_s = analysis.crossing.traffic_direction.sign() * passage.speed_m_s;
+            let part = lateness(&wheel.position_m, [&wheel.contact_force_n, &true_n], velocity_m_s);
+            late = (late.0 + part.0, late.1 + part.1);
             peaks_inside +=
                 usize::from((wheel.peak_force_n.lower..=wheel.peak_force_n.upper).contains(&peak));
             points += true_n.len();
@@ -131,20 +130,15 @@ pub fn score(analysis: &Analysis, truth: &Truth) -> Score {
     score
 }
 
-/// Sums of which the ratio is by how many samples `found` comes later than `known`, least squares.
-fn lateness(found: &[f64], known: &[f64]) -> (f64, f64) {
-    let inner = 1..known.len().saturating_sub(1);
-    inner.fold((0.0, 0.0), |(early, squares), i| {
-        let slope = 0.5 * (known[i + 1] - known[i - 1]);
-        (early + (known[i] - found[i]) * slope, squares + slope * slope)
+/// Sums of which the ratio is the time by which the force `found` comes later than the one `known` under a wheel that moves at
+/// `velocity_m_s` along x, s; least squares.
+fn lateness(position_m: &[f64], [found_n, known_n]: [&[f64]; 2], velocity_m_s: f64) -> (f64, f64) {
+    let slopes = slope_n_m(position_m, known_n);
+    let points = slopes.iter().zip(known_n.iter().zip(found_n));
+    points.fold((0.0, 0.0), |(early, squares), (slope_n_m, (known, found))| {
+        let per_second = slope_n_m * velocity_m_s;
+        (early + (known - found) * per_second, squares + per_second * per_second)
     })
-}
-
-fn mean_step(grid_m: &[f64]) -> f64 {
-    match grid_m {
-        [first, .., last] => (last - first) / (grid_m.len() - 1) as f64,
-        _ => f64::NAN,
-    }
 }
 
 /// RMS error over the time from the first axle 8 m before to the last 8 m behind the crossing, over peak to peak.
@@ -192,7 +186,8 @@ mod tests {
     fn analytic_a_shifted_wave_is_as_late_as_it_was_shifted() {
         let wave =
             |late: f64| -> Vec<f64> { (0..400).map(|i| (0.05 * (f64::from(i) - late)).sin()).collect() };
-        let (early, squares) = lateness(&wave(0.3), &wave(0.0));
+        let metres: Vec<f64> = (0..400).map(f64::from).collect();
+        let (early, squares) = lateness(&metres, [&wave(0.3), &wave(0.0)], 1.0);
         // Central differences of a wave of 126 samples are 0.04 % off.
         assert!((early / squares - 0.3).abs() < 1e-3, "{}", early / squares);
     }

@@ -2,6 +2,7 @@
 
 use super::forward::{BAND_HZ, Response};
 use crate::reconstruct::Recording;
+use crate::recording::Sensor;
 use crate::vehicle::AxlePattern;
 
 /// Rate of the windows, Hz.
@@ -47,6 +48,11 @@ pub struct Observed {
     pub mean: Vec<f64>,
     /// Time of the first window sample after the bogie's front axle is at x = 0, s (negative).
     pub first_s: f64,
+}
+
+/// RMS of a sensor's stated noise in the band of the comparison, m/s².
+pub fn stated_noise_m_s2(sensor: &Sensor) -> f64 {
+    (2.0 * BAND_HZ[1] / sensor.sample_rate_hz).min(1.0).sqrt() * sensor.noise_rms_m_s2
 }
 
 /// Where a window lies, metres of travel of the front axle: first, length.

@@ -11,6 +11,7 @@ use std::time::Instant;
 
 use super::GapError;
 use super::base::{Base, PathPrior, base, nominal_world};
+use super::data::stated_noise_m_s2;
 use super::effect::{Effect, Hints, Stage};
 use super::effects::{COMMON, LATENT};
 use super::fit::{Fit, State};
@@ -26,7 +27,6 @@ use super::world::SensorModel;
 use crate::ballast::BallastParameters;
 use crate::progress::Progress;
 use crate::recording::Site;
-use plausible::Unrest;
 use recorder::Recorder;
 
 /// Choices of a diagnosis.
@@ -182,11 +182,14 @@ pub fn diagnose(
     let mut session = Session::new(site, options, &split, &search, &mut base);
     session.take(&recorder);
     let mut searched = !options.quick;
-    if searched && sensor.range_m_s2.is_some() {
+    let destroyed =
+        |session: &Session| sensor.range_m_s2.is_some() && session.base.fit.inflation() > CLIPPED_MISFIT;
+    // Interference can be what spoils the model of clipped recordings.
+    if destroyed(&session) {
         session.search_apart()?;
     }
     // What clipping has destroyed cannot be searched.
-    if sensor.range_m_s2.is_some() && session.base.fit.inflation() > CLIPPED_MISFIT {
+    if destroyed(&session) {
         session.remarks.push(
             "the recordings clip so much that nothing else can be told from them; use a sensor with a larger range".into(),
         );
@@ -241,8 +244,8 @@ struct Session<'a> {
     foreign_scan: bool,
     /// The recordings or the scan cannot be what they are said to be: no gap of theirs means anything.
     untrusted: bool,
-    /// What is recorded before trains come.
-    unrest: Unrest,
+    /// RMS of the sensor's stated noise in the band of the comparison, m/s².
+    stated_noise_m_s2: f64,
     /// How far the current model's residual is above the scatter of the wheels (in squares, relative), and that scatter.
     scatter: (f64, f64),
 }
@@ -273,7 +276,7 @@ impl<'a> Session<'a> {
             remarks: Vec::new(),
             foreign_scan: false,
             untrusted: false,
-            unrest: Unrest::of(&base.frame.observed, &site.crossing.sensor),
+            stated_noise_m_s2: stated_noise_m_s2(&site.crossing.sensor),
             scatter: (0.0, 0.0),
             base,
         };

@@ -7,7 +7,7 @@
 use faer::Mat;
 use faer::linalg::solvers::Llt;
 
-use super::data::RATE_HZ;
+use super::data::{RATE_HZ, stated_noise_m_s2};
 use super::forward::BAND_HZ;
 use super::linear::{BogieResponses, WheelMoves};
 use super::splines::PathSplines;
@@ -230,9 +230,8 @@ const WORTH_ANOTHER: f64 = 1.0;
 
 /// Sizes that make the scatter of windows recorded by `sensor` most probable: one at a time, by shrinking factors.
 pub fn estimate(passages: &[(&Shapes, Mat<f64>)], sensor: &Sensor) -> Variation {
-    let in_band = (2.0 * BAND_HZ[1] / sensor.sample_rate_hz).min(1.0).sqrt();
     let mut range = Variation::RANGE;
-    range[0][1] = range[0][1].max(MOST_NOISE * in_band * sensor.noise_rms_m_s2);
+    range[0][1] = range[0][1].max(MOST_NOISE * stated_noise_m_s2(sensor));
     let mut search = Search::new(passages, range);
     search.sweep(&OWN_FACTORS, 1);
     search.sweep(&FACTORS, 0);

@@ -136,13 +136,8 @@ impl<'a> TruthAnalysis<'a> {
         let crossing = &self.ours.crossing;
         let direction = crossing.traffic_direction.sign();
         let (_, position_m) = own_positions(direction, wheel.true_speed_m_s, RAIL_HALF_M, RAIL.rate_hz);
-        let force = WheelForce {
-            wheelset: wheel.wheelset,
-            force_n: true_force_n(wheel, crossing, self.static_n, &position_m),
-            sd_n: vec![0.0; position_m.len()],
-            unshifted_sd_n: vec![0.0; position_m.len()],
-            position_m,
-        };
+        let force_n = true_force_n(wheel, crossing, self.static_n, &position_m);
+        let force = WheelForce::given(wheel.wheelset, position_m, force_n);
         irregularity(&force, wheel.true_speed_m_s, self.static_n, &self.rail, &crossing.vehicle, grid_m)
     }
 

@@ -232,13 +232,8 @@ impl Inverse {
         let step = self.speed_m_s / RAIL.rate_hz;
         let reach = (RAIL_HALF_M / step).floor() as i64;
         let position_m: Vec<f64> = (-reach..=reach).map(|k| self.direction * k as f64 * step).collect();
-        let force = WheelForce {
-            wheelset: 0,
-            force_n: position_m.iter().map(|x| force_n(*x)).collect(),
-            sd_n: vec![0.0; position_m.len()],
-            unshifted_sd_n: vec![0.0; position_m.len()],
-            position_m,
-        };
+        let force_n = position_m.iter().map(|x| force_n(*x)).collect();
+        let force = WheelForce::given(0, position_m, force_n);
         irregularity(&force, self.speed_m_s, self.static_n, &self.rail, &self.crossing.vehicle, grid)
     }
 }

@@ -11,8 +11,7 @@ use crate::gap::data::Observed;
 use crate::gap::effect::{Effect, Stage, Witness};
 use crate::gap::fit::{Fit, State, simulate, whitened};
 use crate::gap::forward::{BAND_HZ, Response};
-use crate::recording::Sensor;
-use crate::signal::{centre, dot, quantile};
+use crate::signal::{centre, dot, quantile, rms};
 use crate::track::Side;
 
 /// Probability that temperatures shuffled among the passages would go with their scale as well, above which a gain does not
@@ -23,30 +22,6 @@ const SHUFFLES: usize = 999;
 /// What is recorded before trains come is more than noise above this many times the sensor's stated one: 549 sites without
 /// interference have up to 1.1 times of it, a tone of 0.23 m/s² 4.7 times.
 const MORE_THAN_NOISE: f64 = 2.0;
-
-/// Acceleration before trains come, RMS in the band of the comparison, m/s².
-#[derive(Clone, Copy)]
-pub(super) struct Unrest {
-    /// Median of the recordings.
-    found_m_s2: f64,
-    /// By the sensor's stated noise.
-    stated_m_s2: f64,
-}
-
-impl Unrest {
-    pub fn of(observed: &[Observed], sensor: &Sensor) -> Self {
-        let before = |o: &Observed| {
-            let [mut end, _] = o.quiet_ends();
-            centre(&mut end.value_m_s2);
-            (dot(&end.value_m_s2, &end.value_m_s2) / end.value_m_s2.len().max(1) as f64).sqrt()
-        };
-        let in_band = (2.0 * BAND_HZ[1] / sensor.sample_rate_hz).min(1.0).sqrt();
-        Self {
-            found_m_s2: quantile(&observed.iter().map(before).collect::<Vec<_>>(), 0.5),
-            stated_m_s2: in_band * sensor.noise_rms_m_s2,
-        }
-    }
-}
 
 /// What speaks against a model from outside its residual.
 pub(super) struct Denial {
@@ -103,14 +78,15 @@ impl Session<'_> {
     /// More than noise is recorded before trains come, enough to matter beside the wheels' scatter, and nothing named accounts for
     /// it.
     fn unrest_denial(&self) -> Option<Denial> {
-        let Unrest { found_m_s2, stated_m_s2 } = self.unrest;
-        let windows = self.split.train.iter().flat_map(|i| &self.base.frame.observed[*i].windows);
-        let samples: usize = windows.map(Vec::len).sum();
-        let share = samples as f64 * (found_m_s2.powi(2) - stated_m_s2.powi(2)) / self.scatter.1;
-        let accounted_for = self.latent_fits.iter().any(|(_, found)| found.apart);
         // Without a search nothing is known of the wheels' scatter.
-        let matters = self.scatter.1 > 0.0 && share > APART_SHARE;
-        (matters && !accounted_for && found_m_s2 > MORE_THAN_NOISE * stated_m_s2).then(|| Denial {
+        if self.scatter.1 <= 0.0 || self.latent_fits.iter().any(|(_, found)| found.apart) {
+            return None;
+        }
+        let observed = &self.base.frame.observed;
+        let (found_m_s2, stated_m_s2) = (before_trains_m_s2(observed), self.stated_noise_m_s2);
+        let samples: usize = self.split.train.iter().flat_map(|i| &observed[*i].windows).map(Vec::len).sum();
+        let share = samples as f64 * (found_m_s2.powi(2) - stated_m_s2.powi(2)) / self.scatter.1;
+        (share > APART_SHARE && found_m_s2 > MORE_THAN_NOISE * stated_m_s2).then(|| Denial {
             stage: Some(Stage::Sensor),
             remark: format!(
                 "before trains come the sensor shows {found_m_s2:.2} m/s\u{b2} (RMS below {:.0} Hz), of which its stated noise is \
@@ -165,6 +141,16 @@ impl Session<'_> {
         };
         Ok(passages.iter().zip(&responses).map(|(i, r)| scale(*i, r)).collect())
     }
+}
+
+/// Acceleration before trains come: RMS in the band of the comparison, median of the recordings, m/s².
+fn before_trains_m_s2(observed: &[Observed]) -> f64 {
+    let levels = observed.iter().map(|o| {
+        let [mut end, _] = o.quiet_ends();
+        centre(&mut end.value_m_s2);
+        rms(&end.value_m_s2)
+    });
+    quantile(&levels.collect::<Vec<_>>(), 0.5)
 }
 
 /// How often shuffled `x` go with `y` at least as well as `x` do, both freed of what goes with `z`.

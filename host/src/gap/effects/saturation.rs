@@ -59,8 +59,10 @@ const LEAST_SAMPLES: usize = 4;
 
 /// Range of a transducer that clips, and how far it may be off, m/s²: values pile up there in most recordings. Needs no model.
 pub fn flat_top_m_s2(site: &Site) -> Option<(f64, f64)> {
-    let passages: Vec<Magnitudes> = site.passages.iter().map(Magnitudes::of).collect();
-    let top = passages.iter().filter_map(|p| p.0.last()).fold(0.0_f64, |m, a| m.max(*a));
+    let top = site.passages.iter().flat_map(magnitudes).fold(0.0, f64::max);
+    let least = (SOUGHT.0 - BELOW.0) * top;
+    let high = |p: &Passage| Sorted::of(magnitudes(p).filter(|a| *a >= least).collect());
+    let passages: Vec<Sorted> = site.passages.iter().map(high).collect();
     let all = |from: f64, to: f64| -> f64 {
         passages.iter().map(|p| p.between(from * top, to * top)).sum::<usize>() as f64
     };
@@ -70,7 +72,7 @@ pub fn flat_top_m_s2(site: &Site) -> Option<(f64, f64)> {
     let grid: Vec<f64> = (0..=steps).map(|k| SOUGHT.0 + k as f64 * SOUGHT.2).collect();
     let excess = |x: &f64| (at(*x) - expected(*x)) / (expected(*x) + 1.0).sqrt();
     let pile = grid.iter().copied().max_by(|a, b| excess(a).total_cmp(&excess(b)))?;
-    let clips = |p: &&Magnitudes| p.between((pile - WITHIN) * top, (pile + WITHIN) * top) >= LEAST_SAMPLES;
+    let clips = |p: &&Sorted| p.between((pile - WITHIN) * top, (pile + WITHIN) * top) >= LEAST_SAMPLES;
     if excess(&pile) < PILED || 2 * passages.iter().filter(clips).count() <= passages.len() {
         return None;
     }
@@ -82,12 +84,15 @@ pub fn flat_top_m_s2(site: &Site) -> Option<(f64, f64)> {
     Some((0.5 * (first + last) * top, (0.5 * (last - first)).max(WITHIN) * top))
 }
 
-/// Magnitudes of a recording, sorted, m/s².
-struct Magnitudes(Vec<f64>);
+fn magnitudes(passage: &Passage) -> impl Iterator<Item = f64> + '_ {
+    passage.acceleration_m_s2.iter().map(|a| f64::from(a.abs()))
+}
 
-impl Magnitudes {
-    fn of(passage: &Passage) -> Self {
-        let mut values: Vec<f64> = passage.acceleration_m_s2.iter().map(|a| f64::from(a.abs())).collect();
+/// Values in ascending order.
+struct Sorted(Vec<f64>);
+
+impl Sorted {
+    fn of(mut values: Vec<f64>) -> Self {
         values.sort_unstable_by(f64::total_cmp);
         Self(values)
     }

@@ -127,16 +127,9 @@ impl<'a> DisplacementChain<'a> {
         let (speed, static_n) =
             (self.identified.timings[index].speed_m_s, self.identified.static_force_n[index]);
         let (_, position_m) = own_positions(self.identified.direction, speed, RAIL_HALF_M, RAIL.rate_hz);
-        let force = WheelForce {
-            wheelset: 0,
-            force_n: position_m
-                .iter()
-                .map(|x| if self.inside(*x) { force_n.at(*x) } else { static_n })
-                .collect(),
-            sd_n: vec![0.0; position_m.len()],
-            unshifted_sd_n: vec![0.0; position_m.len()],
-            position_m,
-        };
+        let within = |x: &f64| if self.inside(*x) { force_n.at(*x) } else { static_n };
+        let force_n = position_m.iter().map(within).collect();
+        let force = WheelForce::given(0, position_m, force_n);
         irregularity(&force, speed, static_n, &self.rail, &self.identified.site.crossing.vehicle, grid_m)
     }
 

@@ -192,8 +192,8 @@ fn property_passage_without_a_train_is_left_out_and_named() {
 
 /// One trial without an effect, as a run leaves it.
 fn trials(version: &str) -> String {
-    let score = r#""answer": {"question": "nothing", "effects": [], "parameters": [], "strength": 0.0},
-        "strength_to_floor": 0.0, "verdict": "no-gap", "named": [], "first_group": [], "probability": 0.0,
+    let score = r#""answer": {"question": "nothing", "effects": [], "parameters": [], "strength": 0.0, "alone": []},
+        "strength_to_floor": 0.0, "weaker_to_floor": 0.0, "verdict": "no-gap", "named": [], "first_group": [], "probability": 0.0,
         "right": true, "covered": null, "interval": null, "closed_fraction": 0.0"#;
     format!(r#"[{{"seed": 3, "trial": 0, "version": "{version}", {score}}}]"#)
 }

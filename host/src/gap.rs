@@ -1,6 +1,7 @@
 //! Why recordings and model differ: the sim-to-real gap and its diagnosis.
 
 pub mod base;
+pub mod clipping;
 pub mod comb;
 pub mod consequences;
 pub mod consistency;

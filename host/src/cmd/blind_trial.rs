@@ -31,6 +31,9 @@ pub(super) struct BlindTrialArgs {
     /// Number of trials
     #[arg(long, default_value_t = 20)]
     trials: u64,
+    /// Run these trials only, by number: to look at what went wrong
+    #[arg(long, value_name = "N", value_delimiter = ',', conflicts_with_all = ["trials", "resume"])]
+    only: Vec<u64>,
     /// Take over the trials of this seed and build that trials.json in the output directory holds
     #[arg(long)]
     resume: bool,
@@ -55,7 +58,7 @@ impl BlindTrialArgs {
     pub(super) fn run(self) -> anyhow::Result<()> {
         create_dir(&self.out)?;
         let bar = Bar::new();
-        bar.begin("trials", self.trials);
+        bar.begin("trials", self.numbers().len() as u64);
         let scores = self.all(&bar)?;
         drop(bar);
         if self.check {
@@ -67,6 +70,11 @@ impl BlindTrialArgs {
         }
     }
 
+    /// Numbers of the trials that are asked for.
+    fn numbers(&self) -> Vec<u64> {
+        if self.only.is_empty() { (0..self.trials).collect() } else { self.only.clone() }
+    }
+
     /// Runs the trials, several at a time; the order in which they end changes nothing.
     fn all(&self, bar: &Bar) -> anyhow::Result<Vec<Score>> {
         let jobs = match self.jobs {
@@ -76,7 +84,7 @@ impl BlindTrialArgs {
         let version = version()?;
         let known = if self.resume { self.known(&version)? } else { BTreeMap::new() };
         known.iter().for_each(|_| bar.step());
-        let left: Vec<u64> = (0..self.trials).filter(|i| !known.contains_key(i)).collect();
+        let left: Vec<u64> = self.numbers().into_iter().filter(|i| !known.contains_key(i)).collect();
         let next = AtomicUsize::new(0);
         let done: Mutex<BTreeMap<u64, Score>> = Mutex::new(known);
         let work = || -> anyhow::Result<()> {
@@ -121,7 +129,7 @@ impl BlindTrialArgs {
         };
         let records: Vec<Record> = done.iter().map(record).collect();
         write_atomic(&self.out.join("trials.json"), serde_json::to_string_pretty(&records)?.as_bytes())?;
-        write_atomic(&self.out.join("trials.csv"), csv(&scores).as_bytes())?;
+        write_atomic(&self.out.join("trials.csv"), csv(&records).as_bytes())?;
         write_atomic(&self.out.join("table.txt"), table(&scores).as_bytes())?;
         for (name, svg) in figures(&scores)? {
             write_atomic(&self.out.join(name), svg.as_bytes())?;
@@ -197,16 +205,17 @@ fn check(scores: &[Score]) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn csv(scores: &[Score]) -> String {
+fn csv(records: &[Record]) -> String {
     let mut text = String::from(
-        "question,effects,strength_to_floor,verdict,named,first_group,probability,right,covered,closed\n",
+        "trial,question,effects,strength_to_floor,weaker_to_floor,verdict,named,first_group,probability,right,covered,closed\n",
     );
-    for s in scores {
+    for Record { trial, score: s, .. } in records {
         text.push_str(&format!(
-            "{:?},{},{:.3},{},{},{},{:.3},{},{},{:.3}\n",
+            "{trial},{:?},{},{:.3},{:.3},{},{},{},{:.3},{},{},{:.3}\n",
             s.answer.question,
             s.answer.effects.join(" "),
             s.strength_to_floor,
+            s.weaker_to_floor,
             s.verdict,
             s.named.join(" "),
             s.first_group.join(" "),
@@ -243,6 +252,8 @@ fn table(scores: &[Score]) -> String {
     line("left out, above twice the floor", asked(Question::LeftOut).filter(strong).collect());
     line("pair: both", asked(Question::Pair).collect());
     line("pair, above twice the floor", asked(Question::Pair).filter(strong).collect());
+    let both_strong = |s: &&Score| s.weaker_to_floor > STRONG;
+    line("pair, each alone above twice the floor", asked(Question::Pair).filter(both_strong).collect());
     let mut by: BTreeMap<&str, Vec<&Score>> = BTreeMap::new();
     for s in asked(Question::One) {
         by.entry(s.answer.effects[0].as_str()).or_default().push(s);

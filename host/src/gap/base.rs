@@ -277,10 +277,11 @@ pub fn fit_variation(
 }
 
 impl Frame {
-    /// Takes over how wheels differ: as covariance of the mean windows and as blur of the path of the mean wheel.
+    /// Takes over how wheels differ: as covariance of the mean windows, as blur of the path of the mean wheel, and for what clips.
     fn take(&mut self, shapes: &[Shapes], variation: &Variation) -> Result<(), GapError> {
         self.factors = factors(&self.observed, shapes, variation)?;
         self.base.path.blur_m = variation.shift_m;
+        self.base.wheels.depth_sd = variation.depth;
         Ok(())
     }
 }

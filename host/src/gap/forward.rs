@@ -3,6 +3,7 @@
 //! A train is the sum of its bogies: they are 4 m and more apart, where neither wheel nor sleeper under the next bogie
 //! feels them, so superposition holds also over beds that are not linear.
 
+use super::clipping::{Spread, clipped_mean};
 use super::world::World;
 use crate::passage::contact::ContactLaw;
 use crate::passage::surface::GRID_M;
@@ -34,6 +35,8 @@ pub struct Simulator {
     law: ContactLaw,
     direction: f64,
     sensor: super::world::SensorModel,
+    /// Standard deviations of the depth of the wheels' paths (relative) and of where they meet them (metres).
+    wheels_differ: [f64; 2],
     antialias: AntiAlias,
 }
 
@@ -60,6 +63,7 @@ impl Simulator {
             law: ContactLaw::Hertz(world.crossing.vehicle.hertz_constant_n_m15),
             direction: world.crossing.traffic_direction.sign(),
             sensor: world.sensor,
+            wheels_differ: [world.wheels.depth_sd, world.path.blur_m],
             antialias: AntiAlias::new(sensor.antialias_order, sensor.antialias_hz),
         })
     }
@@ -126,13 +130,13 @@ impl Simulator {
         Ok(Response {
             first_s: entry / speed * stretch,
             step_s: record.dt_s * stretch,
-            acceleration_m_s2: self.acceleration(&record.sensor_m, 1.0 / record.dt_s),
+            acceleration_m_s2: self.acceleration(&record.sensor_m, 1.0 / record.dt_s, speed),
         })
     }
 
     /// What the recorder makes of the motion, in the band of the comparison. The recorder's low-pass is undone in the
     /// recordings, so it matters only together with a range.
-    fn acceleration(&self, motion_m: &[f64], rate_hz: f64) -> Vec<f64> {
+    fn acceleration(&self, motion_m: &[f64], rate_hz: f64, speed_m_s: f64) -> Vec<f64> {
         let n = (motion_m.len() + motion_m.len() / 4).next_power_of_two();
         let mut motion = motion_m.to_vec();
         let end = motion.last().copied().unwrap_or(0.0);
@@ -149,11 +153,9 @@ impl Simulator {
             *value *= self.sensor.mounted(*f) * -(omega * omega);
         }
         if let Some(range) = self.sensor.range_m_s2 {
-            let mut full = irfft(&spectrum, n);
-            for value in &mut full {
-                *value = value.clamp(-range, range);
-            }
-            spectrum = rfft(&full);
+            let [depth, shift_m] = self.wheels_differ;
+            let spread = Spread { depth, time_s: shift_m / speed_m_s };
+            spectrum = rfft(&clipped_mean(&irfft(&spectrum, n), rate_hz, range, spread));
         }
         for (value, f) in spectrum.iter_mut().zip(&frequencies) {
             // The comparison's band is in the recorder's hertz.

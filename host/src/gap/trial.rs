@@ -40,6 +40,8 @@ pub struct Answer {
     pub parameters: Vec<(String, f64)>,
     /// Change of the signal by the effects, RMS relative to the signal.
     pub strength: f64,
+    /// The same by each of them alone.
+    pub alone: Vec<f64>,
 }
 
 /// A trial before the diagnosis.
@@ -102,13 +104,32 @@ pub fn draw(seed: u64, index: u64, work: &Path) -> Result<Trial, TrialError> {
     // A few passages tell how strong an effect is.
     let mut few = scenario.clone();
     few.simulation.passages = STRENGTH_PASSAGES;
-    let plain = if names.is_empty() { None } else { Some(simulate(&few, &Silent)?) };
-    let parameters: Vec<(String, f64)> = names
-        .iter()
-        .map(|n| ((*n).to_string(), put(&mut scenario.simulation.effects, n, &mut random)))
-        .collect();
+    let mut alone_in = Vec::new();
+    let mut parameters = Vec::new();
+    for name in &names {
+        // The same draw for the effect alone as beside the others.
+        let mut again = random.clone();
+        let value = put(&mut scenario.simulation.effects, name, &mut random);
+        parameters.push(((*name).to_string(), value));
+        let mut single = few.clone();
+        put(&mut single.simulation.effects, name, &mut again);
+        alone_in.push(single);
+    }
     let changed = simulate(&scenario, &Silent)?;
-    let strength = plain.map_or(0.0, |p| strength(&p.site, &changed.site));
+    let (together, alone) = if names.is_empty() {
+        (0.0, Vec::new())
+    } else {
+        let plain = simulate(&few, &Silent)?.site;
+        let together = strength(&plain, &changed.site);
+        let alone = match alone_in.as_slice() {
+            [_] => vec![together],
+            several => several
+                .iter()
+                .map(|s| Ok(strength(&plain, &simulate(s, &Silent)?.site)))
+                .collect::<Result<_, ScenarioError>>()?,
+        };
+        (together, alone)
+    };
     let known =
         |name: &str| COMMON.iter().any(|e| e.name() == name) || LATENT.iter().any(|e| e.name() == name);
     let unknown = names.len() == 1 && !known(names[0]);
@@ -121,7 +142,8 @@ pub fn draw(seed: u64, index: u64, work: &Path) -> Result<Trial, TrialError> {
             question,
             effects: names.iter().map(|n| (*n).to_string()).collect(),
             parameters,
-            strength,
+            strength: together,
+            alone,
         },
     })
 }
@@ -338,6 +360,8 @@ pub struct Score {
     pub answer: Answer,
     /// Change of the signal over the noise floor.
     pub strength_to_floor: f64,
+    /// The same of the weaker effect alone.
+    pub weaker_to_floor: f64,
     /// The verdict.
     pub verdict: String,
     /// Effects named, in order.
@@ -390,6 +414,7 @@ pub fn score(answer: Answer, diagnosis: &Value) -> Score {
     let floor = diagnosis["gap"]["noise_floor"].as_f64().unwrap_or(f64::NAN);
     Score {
         strength_to_floor: answer.strength / floor,
+        weaker_to_floor: answer.alone.iter().copied().reduce(f64::min).unwrap_or(0.0) / floor,
         probability: effects.first().and_then(|e| e["probability"].as_f64()).unwrap_or(0.0),
         closed_fraction: diagnosis["gap"]["closed_fraction"].as_f64().unwrap_or(0.0),
         answer,

@@ -54,13 +54,15 @@ pub struct Wheels {
     pub load: [[f64; 2]; 2],
     /// Factor on the path's depth, front and rear.
     pub depth: [f64; 2],
+    /// Standard deviation of that depth among wheels, relative.
+    pub depth_sd: f64,
     /// Factor on mass and roll inertia of the wheelsets.
     pub unsprung: f64,
 }
 
 impl Default for Wheels {
     fn default() -> Self {
-        Self { load: [[1.0; 2]; 2], depth: [1.0; 2], unsprung: 1.0 }
+        Self { load: [[1.0; 2]; 2], depth: [1.0; 2], depth_sd: 0.0, unsprung: 1.0 }
     }
 }
 

@@ -4,6 +4,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 
 /// Stream of random numbers; streams of one seed are independent of each other.
+#[derive(Clone)]
 pub struct Random(ChaCha8Rng);
 
 impl Random {

@@ -15,6 +15,10 @@ const LONGEST_M: f64 = 7.25;
 /// Quiet stretch at each end of a recording, s: it begins and ends at least 0.3 s before and after the train.
 pub const QUIET_S: f64 = 0.27;
 
+/// Step in which a lag is looked for, samples. Half a sample is an eighth of a wave of 200 Hz: a passage that far from its place
+/// leaves three quarters of the wave, and may fit better a whole wave further on.
+const LAG_STEP: f64 = 0.25;
+
 /// One train-free end of a recording.
 pub struct QuietEnd {
     /// Recorder time of the first value, s.
@@ -123,17 +127,18 @@ impl Observed {
 
     /// Delay of the recording behind a prediction at which both agree best, s, among `range_m` of travel in both directions.
     pub fn lag(&self, response: &Response, gain: f64, range_m: f64) -> f64 {
-        let steps = (range_m / self.speed_m_s * RATE_HZ).ceil() as i64;
+        let step_s = LAG_STEP / RATE_HZ;
+        let steps = (range_m / self.speed_m_s / step_s).ceil() as i64;
         let misfit = |late_s: f64| {
             let p = self.predicted_mean(response, gain, late_s);
             self.mean.iter().zip(&p).map(|(m, p)| (m - p).powi(2)).sum::<f64>()
         };
         let best = (-steps..=steps)
-            .map(|k| k as f64 / RATE_HZ)
+            .map(|k| k as f64 * step_s)
             .map(|t| (t, misfit(t)))
             .min_by(|a, b| a.1.total_cmp(&b.1))
             .map_or(0.0, |b| b.0);
-        let h = 0.5 / RATE_HZ;
+        let h = 0.5 * step_s;
         let (l, m, r) = (misfit(best - h), misfit(best), misfit(best + h));
         let curvature = l - 2.0 * m + r;
         best + if curvature > 0.0 { (0.5 * h * (l - r) / curvature).clamp(-h, h) } else { 0.0 }
@@ -233,4 +238,50 @@ pub fn mean_of(windows: &[Vec<f64>]) -> Vec<f64> {
     let n = windows.first().map_or(0, Vec::len);
     let scale = 1.0 / windows.len().max(1) as f64;
     (0..n).map(|k| windows.iter().map(|w| w[k]).sum::<f64>() * scale).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+    use crate::recording::{Passage, read_site};
+
+    /// Waves of three and a half samples, recorded half a sample late: a wave further on, whole samples meet them.
+    #[test]
+    fn regress_a_passage_between_two_samples_is_found() {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/data/field/reference-1");
+        let mut sensor = read_site(&root).unwrap().crossing.sensor;
+        sensor.antialias_order = 0;
+        let (f_hz, late_s) = (RATE_HZ / 3.5, 0.5 / RATE_HZ);
+        let wave = |t: f64| 100.0 * (-(t / 0.01).powi(2)).exp() * (std::f64::consts::TAU * f_hz * t).sin();
+        let rate = sensor.sample_rate_hz;
+        let recorded = |k: usize| wave(k as f64 / rate - 1.0 - late_s) as f32;
+        let passage = Passage {
+            passage_id: 1,
+            train_type: String::new(),
+            axle_load_kg: 16e3,
+            speed_m_s: None,
+            temperature_c: 20.0,
+            sample_rate_hz: rate,
+            acceleration_m_s2: (0..2 * rate as usize).map(recorded).collect(),
+        };
+        let mut observed = Observed {
+            passage_id: 1,
+            recording: Recording::new(&passage, &sensor),
+            speed_m_s: 45.0,
+            operator_m_s: None,
+            temperature_c: 20.0,
+            axle_load_kg: 16e3,
+            first_axle_s: 1.0,
+            bogie_m: vec![0.0],
+            windows: Vec::new(),
+            mean: Vec::new(),
+            first_s: 0.0,
+        };
+        observed.cut((-2.0, 4.0));
+        let response = Response::of(-0.2, 1e-4, (0..4000).map(|k| wave(f64::from(k) * 1e-4 - 0.2)).collect());
+        let found = observed.lag(&response, 1.0, 0.4);
+        assert!((found - late_s).abs() < 0.05 / RATE_HZ, "{found} {late_s}");
+    }
 }

@@ -181,6 +181,12 @@ pub struct Response {
 }
 
 impl Response {
+    /// Given acceleration (m/s²) from a time on, in steps, s.
+    #[cfg(test)]
+    pub fn of(first_s: f64, step_s: f64, acceleration_m_s2: Vec<f64>) -> Self {
+        Self { first_s, step_s, acceleration_m_s2 }
+    }
+
     /// (this − other) / step, for responses at the same speed.
     pub fn less(&self, other: &Response, step: f64) -> Response {
         let difference = self.acceleration_m_s2.iter().zip(&other.acceleration_m_s2);

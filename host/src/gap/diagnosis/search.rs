@@ -121,11 +121,10 @@ impl Session<'_> {
         Ok(())
     }
 
-    /// Whether the model is lost with an effect of the panel in it, over which wheels differ in ways that it does not know: what is
-    /// looked for on top would mend the description of that effect.
+    /// Whether wheels differ in ways that the model does not know, with an effect of the panel in it: what is looked for on top would
+    /// mend the description of that effect.
     fn adrift(&self) -> bool {
-        let lost = !self.accepted.is_empty() && self.fit.as_ref().is_some_and(Fit::lost);
-        lost && self.base.variation.beyond_linear()
+        !self.accepted.is_empty() && self.base.variation.beyond_linear()
     }
 
     /// Tries everything on top of what is accepted; accepts the best if it is good enough.

@@ -209,6 +209,18 @@ fn property_resumed_trials_take_over_what_is_there() {
 }
 
 #[test]
+fn property_single_trials_do_not_replace_the_scores_of_a_run() {
+    let dir = tempfile::tempdir().unwrap();
+    let before = trials("0.1.0");
+    fs::write(dir.path().join("trials.json"), &before).unwrap();
+    fails(
+        &["blind-trial", "--seed", "3", "--only", "0", "--out", text(dir.path())],
+        &["trials.json", "choose another --out"],
+    );
+    assert_eq!(fs::read_to_string(dir.path().join("trials.json")).unwrap(), before);
+}
+
+#[test]
 fn property_damaged_trials_are_not_resumed() {
     let dir = tempfile::tempdir().unwrap();
     fs::write(dir.path().join("trials.json"), &trials("0.1.0")[..40]).unwrap();

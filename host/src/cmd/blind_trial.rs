@@ -57,6 +57,12 @@ pub(super) struct BlindTrialArgs {
 impl BlindTrialArgs {
     pub(super) fn run(self) -> anyhow::Result<()> {
         create_dir(&self.out)?;
+        if !self.only.is_empty() && self.out.join("trials.json").exists() {
+            bail!(
+                "{} holds the scores of another run, which single trials would replace; choose another --out",
+                self.out.join("trials.json").display()
+            );
+        }
         let bar = Bar::new();
         bar.begin("trials", self.numbers().len() as u64);
         let scores = self.all(&bar)?;

@@ -76,6 +76,17 @@ pub fn resample(signal: &[f64], len: usize) -> Vec<f64> {
     out
 }
 
+/// Derivative by central differences of values at `rate_hz`, per second.
+pub fn slope(values: &[f64], rate_hz: f64) -> Vec<f64> {
+    let last = values.len().saturating_sub(1);
+    (0..values.len())
+        .map(|k| {
+            let (a, b) = (k.saturating_sub(1), (k + 1).min(last));
+            (values[b] - values[a]) * rate_hz / (b - a).max(1) as f64
+        })
+        .collect()
+}
+
 /// Root mean square; 0 for an empty slice.
 pub fn rms(values: &[f64]) -> f64 {
     if values.is_empty() {

@@ -57,10 +57,11 @@ pub(super) struct BlindTrialArgs {
 impl BlindTrialArgs {
     pub(super) fn run(self) -> anyhow::Result<()> {
         create_dir(&self.out)?;
-        if !self.only.is_empty() && self.out.join("trials.json").exists() {
+        let scores = self.out.join("trials.json");
+        if !self.only.is_empty() && scores.exists() {
             bail!(
                 "{} holds the scores of another run, which single trials would replace; choose another --out",
-                self.out.join("trials.json").display()
+                scores.display()
             );
         }
         let bar = Bar::new();

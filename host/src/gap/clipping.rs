@@ -2,6 +2,8 @@
 
 use std::f64::consts::{PI, SQRT_2};
 
+use crate::signal::slope;
+
 /// How wheels differ, as far as it matters to a transducer that clips.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Spread {
@@ -14,13 +16,12 @@ pub struct Spread {
 /// Mean over wheels of what a transducer of a range (m/s²) makes of an acceleration that is that of the mean wheel, sampled at
 /// `rate_hz`. Taken sample by sample as Gaussian.
 pub fn clipped_mean(mean_m_s2: &[f64], rate_hz: f64, range_m_s2: f64, spread: Spread) -> Vec<f64> {
-    let last = mean_m_s2.len().saturating_sub(1);
-    let slope = |k: usize| {
-        let (a, b) = (k.saturating_sub(1), (k + 1).min(last));
-        (mean_m_s2[b] - mean_m_s2[a]) * rate_hz / (b - a).max(1) as f64
+    let slopes = slope(mean_m_s2, rate_hz);
+    let clipped = |(mean, slope): (&f64, &f64)| {
+        let sd = (spread.depth * mean).hypot(spread.time_s * slope);
+        clipped_gaussian_mean(*mean, sd, range_m_s2)
     };
-    let sd = |k: usize| (spread.depth * mean_m_s2[k]).hypot(spread.time_s * slope(k));
-    mean_m_s2.iter().enumerate().map(|(k, mean)| clipped_gaussian_mean(*mean, sd(k), range_m_s2)).collect()
+    mean_m_s2.iter().zip(&slopes).map(clipped).collect()
 }
 
 /// Mean of a Gaussian that is clipped at both ends of a range.

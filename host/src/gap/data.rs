@@ -3,6 +3,7 @@
 use super::forward::{BAND_HZ, Response};
 use crate::reconstruct::Recording;
 use crate::recording::Sensor;
+use crate::signal::slope;
 use crate::vehicle::AxlePattern;
 
 /// Rate of the windows, Hz.
@@ -87,7 +88,7 @@ impl Observed {
     /// bogie's distance from the middle of the train. Needs no model.
     pub fn line_up(&mut self, window: (f64, f64)) {
         for _ in 0..LINE_UP_ROUNDS {
-            let slope: Vec<f64> = slope(&self.mean);
+            let slope = slope(&self.mean, RATE_HZ);
             let power: f64 = slope.iter().map(|s| s * s).sum();
             let middle = crate::signal::mean(&self.bogie_m);
             let (mut numerator, mut denominator) = (0.0, 0.0);
@@ -209,17 +210,6 @@ impl Observed {
 const LINE_UP_ROUNDS: usize = 4;
 /// Largest correction per round, s/m: 10 mm over 10 m at 40 m/s.
 const LARGEST_S_M: f64 = 2.5e-5;
-
-/// Derivative by central differences, per second.
-fn slope(values: &[f64]) -> Vec<f64> {
-    let n = values.len();
-    (0..n)
-        .map(|k| {
-            let (a, b) = (k.saturating_sub(1), (k + 1).min(n - 1));
-            (values[b] - values[a]) * RATE_HZ / (b - a).max(1) as f64
-        })
-        .collect()
-}
 
 /// Sum of squares of windows, and the part of it that is in their mean.
 pub fn energies(windows: &[Vec<f64>]) -> (f64, f64) {

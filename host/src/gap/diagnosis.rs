@@ -11,7 +11,6 @@ use std::time::Instant;
 
 use super::GapError;
 use super::base::{Base, PathPrior, base, nominal_world};
-use super::data::stated_noise_m_s2;
 use super::effect::{Effect, Hints, Stage};
 use super::effects::{COMMON, LATENT};
 use super::fit::{Fit, State};
@@ -244,8 +243,6 @@ struct Session<'a> {
     foreign_scan: bool,
     /// The recordings or the scan cannot be what they are said to be: no gap of theirs means anything.
     untrusted: bool,
-    /// RMS of the sensor's stated noise in the band of the comparison, m/s².
-    stated_noise_m_s2: f64,
     /// How far the current model's residual is above the scatter of the wheels (in squares, relative), and that scatter.
     scatter: (f64, f64),
 }
@@ -276,7 +273,6 @@ impl<'a> Session<'a> {
             remarks: Vec::new(),
             foreign_scan: false,
             untrusted: false,
-            stated_noise_m_s2: stated_noise_m_s2(&site.crossing.sensor),
             scatter: (0.0, 0.0),
             base,
         };

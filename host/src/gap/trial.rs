@@ -116,20 +116,7 @@ pub fn draw(seed: u64, index: u64, work: &Path) -> Result<Trial, TrialError> {
         alone_in.push(single);
     }
     let changed = simulate(&scenario, &Silent)?;
-    let (together, alone) = if names.is_empty() {
-        (0.0, Vec::new())
-    } else {
-        let plain = simulate(&few, &Silent)?.site;
-        let together = strength(&plain, &changed.site);
-        let alone = match alone_in.as_slice() {
-            [_] => vec![together],
-            several => several
-                .iter()
-                .map(|s| Ok(strength(&plain, &simulate(s, &Silent)?.site)))
-                .collect::<Result<_, ScenarioError>>()?,
-        };
-        (together, alone)
-    };
+    let (together, alone) = strengths(&few, &alone_in, &changed.site)?;
     let known =
         |name: &str| COMMON.iter().any(|e| e.name() == name) || LATENT.iter().any(|e| e.name() == name);
     let unknown = names.len() == 1 && !known(names[0]);
@@ -146,6 +133,20 @@ pub fn draw(seed: u64, index: u64, work: &Path) -> Result<Trial, TrialError> {
             alone,
         },
     })
+}
+
+/// How much a site's effects change the signal of the plain scenario together, and each `alone` in it.
+fn strengths(plain: &Scenario, alone: &[Scenario], changed: &Site) -> Result<(f64, Vec<f64>), ScenarioError> {
+    if alone.is_empty() {
+        return Ok((0.0, Vec::new()));
+    }
+    let plain = simulate(plain, &Silent)?.site;
+    let together = strength(&plain, changed);
+    if alone.len() == 1 {
+        return Ok((together, vec![together]));
+    }
+    let each = alone.iter().map(|s| Ok(strength(&plain, &simulate(s, &Silent)?.site)));
+    Ok((together, each.collect::<Result<_, ScenarioError>>()?))
 }
 
 /// A trial before its effects are put in.

@@ -7,7 +7,7 @@ use super::Session;
 use super::recorder::{clock_by_operator, shows};
 use super::search::APART_SHARE;
 use crate::gap::GapError;
-use crate::gap::data::Observed;
+use crate::gap::data::{Observed, stated_noise_m_s2};
 use crate::gap::effect::{Effect, Stage, Witness};
 use crate::gap::fit::{Fit, State, simulate, whitened};
 use crate::gap::forward::{BAND_HZ, Response};
@@ -82,8 +82,8 @@ impl Session<'_> {
         if self.scatter.1 <= 0.0 || self.latent_fits.iter().any(|(_, found)| found.apart) {
             return None;
         }
-        let observed = &self.base.frame.observed;
-        let (found_m_s2, stated_m_s2) = (before_trains_m_s2(observed), self.stated_noise_m_s2);
+        let (observed, sensor) = (&self.base.frame.observed, &self.base.frame.base.crossing.sensor);
+        let (found_m_s2, stated_m_s2) = (before_trains_m_s2(observed), stated_noise_m_s2(sensor));
         let samples: usize = self.split.train.iter().flat_map(|i| &observed[*i].windows).map(Vec::len).sum();
         let share = samples as f64 * (found_m_s2.powi(2) - stated_m_s2.powi(2)) / self.scatter.1;
         (share > APART_SHARE && found_m_s2 > MORE_THAN_NOISE * stated_m_s2).then(|| Denial {

@@ -301,7 +301,7 @@ fn rough_factors(observed: &[Observed]) -> Vec<faer::linalg::solvers::Llt<f64>> 
         .collect()
 }
 
-/// Linear responses and shapes of the variation around a world, per passage.
+/// Linear responses of a well mounted sensor, and shapes of the variation of the one there is, around a world, per passage.
 fn linearise(world: &World, observed: &[Observed]) -> Result<(Vec<BogieResponses>, Vec<Shapes>), GapError> {
     let linear = Linear::new(world, observed)?;
     let own = OwnIrregularity::new(&world.path.deviation);
@@ -309,7 +309,9 @@ fn linearise(world: &World, observed: &[Observed]) -> Result<(Vec<BogieResponses
         .par_iter()
         .map(|o| {
             let r = linear.responses(o);
-            let shapes = Shapes::new(&r, linear.moves(o)?, &own);
+            // Wheels differ in what the sensor shows of them.
+            let moves = linear.moves(o)?.map(|m| m.through_mount(&world.sensor));
+            let shapes = Shapes::new(&r.through_mount(&world.sensor), moves, &own);
             Ok((r, shapes))
         })
         .collect::<Result<_, GapError>>()?;

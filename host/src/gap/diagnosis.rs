@@ -181,14 +181,16 @@ pub fn diagnose(
     let mut session = Session::new(site, options, &split, &search, &mut base);
     session.take(&recorder);
     let mut searched = !options.quick;
-    let destroyed =
-        |session: &Session| sensor.range_m_s2.is_some() && session.base.fit.inflation() > CLIPPED_MISFIT;
-    // Interference can be what spoils the model of clipped recordings.
-    if destroyed(&session) {
+    let spoilt = |session: &Session| sensor.range_m_s2.is_some() && session.misfit() > CLIPPED_MISFIT;
+    // Interference can be what spoils the model of clipped recordings, and the likeness of the passages.
+    if spoilt(&session) || (searched && session.mixed()) {
         session.search_apart()?;
     }
-    // What clipping has destroyed cannot be searched.
-    if destroyed(&session) {
+    // Then one effect can, where it is worse than clipping alone makes it, and nothing is told from what clipping has destroyed.
+    if searched && spoilt(&session) && session.base.fit.lost() {
+        session.search_what_mends(CLIPPED_MISFIT, progress)?;
+    }
+    if spoilt(&session) {
         session.remarks.push(
             "the recordings clip so much that nothing else can be told from them; use a sensor with a larger range".into(),
         );
@@ -278,6 +280,11 @@ impl<'a> Session<'a> {
         };
         session.remark_on(site);
         session
+    }
+
+    /// Squared misfit per value of the current model.
+    fn misfit(&self) -> f64 {
+        self.fit.as_ref().unwrap_or(&self.base.fit).inflation()
     }
 
     fn state(&self) -> State {

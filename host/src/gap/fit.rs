@@ -31,7 +31,7 @@ pub struct Frame {
     pub base: World,
     /// All passages.
     pub observed: Vec<Observed>,
-    /// Linear responses, per passage.
+    /// Linear responses of a well mounted sensor, per passage.
     pub responses: Vec<BogieResponses>,
     /// Factor of the covariance of a passage's mean window.
     pub factors: Vec<Llt<f64>>,

@@ -12,7 +12,7 @@ use super::GapError;
 use super::data::{Observed, RATE_HZ};
 use super::forward::{Response, Simulator};
 use super::splines::PathSplines;
-use super::world::World;
+use super::world::{SensorModel, World};
 use crate::track::Side;
 
 /// Change of a knot, metres: a small part of what loses contact.
@@ -59,6 +59,32 @@ impl BogieResponses {
     }
 }
 
+impl BogieResponses {
+    /// The same as a sensor on its mount has them, from those of a well mounted one.
+    pub fn through_mount(&self, sensor: &SensorModel) -> Self {
+        let windows = |m: &Mat<f64>| sensor.through_mount(m).into_owned();
+        Self {
+            both: windows(&self.both),
+            profile: self.profile.each_ref().map(windows),
+            load: self.load.each_ref().map(|sides| sides.each_ref().map(|side| mounted(sensor, side))),
+        }
+    }
+}
+
+impl WheelMoves {
+    /// The same as a sensor on its mount has them, from those of a well mounted one.
+    pub fn through_mount(&self, sensor: &SensorModel) -> Self {
+        let [depth, shift, curvature] =
+            [&self.depth, &self.shift, &self.curvature].map(|window| mounted(sensor, window));
+        Self { depth, shift, curvature }
+    }
+}
+
+fn mounted(sensor: &SensorModel, window: &[f64]) -> Vec<f64> {
+    let column = Mat::from_fn(window.len(), 1, |k, _| window[k]);
+    sensor.through_mount(&column).col_as_slice(0).to_vec()
+}
+
 /// Differences at one speed.
 struct Node {
     speed_m_s: f64,
@@ -67,7 +93,7 @@ struct Node {
     loads: [Response; 4],
 }
 
-/// Linear model of a site around a world.
+/// Linear model of a site around a world, for a well mounted sensor: mounts are put on afterwards.
 pub struct Linear {
     simulator: Simulator,
     nodes: Vec<Node>,
@@ -79,6 +105,9 @@ pub struct Linear {
 impl Linear {
     /// Around a world, for the speeds of `observed`; the first passage's load stands for all.
     pub fn new(world: &World, observed: &[Observed]) -> Result<Self, GapError> {
+        let mut world = world.clone();
+        world.sensor.mount = None;
+        let world = &world;
         let direction = world.crossing.traffic_direction.sign();
         let axle_load_kg = observed.first().map_or(world.crossing.vehicle.axle_load_kg, |o| o.axle_load_kg);
         let grids = &world.path.deviation;

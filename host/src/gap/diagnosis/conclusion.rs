@@ -1,8 +1,8 @@
 //! From the effects found to the verdict: final fit, held-out passages, parameters with intervals.
 
-use super::{Diagnosis, Session};
+use super::{Diagnosis, Named, Session};
 use crate::gap::GapError;
-use crate::gap::effect::{Scale, Stage};
+use crate::gap::effect::{Effect, Scale, Stage};
 use crate::gap::fit::{Fit, FitOptions, fit, simulate};
 use crate::gap::forward::Response;
 use crate::gap::hammer::{Agreement, BAND_HZ};
@@ -27,6 +27,7 @@ impl Session<'_> {
     ) -> Result<Diagnosis, GapError> {
         progress.begin("held-out passages", 3);
         self.final_fit()?;
+        self.withdraw_what_may_be_nothing()?;
         progress.step();
         let (predicted, gap) = self.predict(base_world)?;
         let after_state = self.state();
@@ -93,6 +94,26 @@ impl Session<'_> {
         Ok(())
     }
 
+    /// Withdraws effects of the panel of which all training passages together leave open whether they are there at all, the last one
+    /// found first: the search has seen a part of the passages.
+    fn withdraw_what_may_be_nothing(&mut self) -> Result<(), GapError> {
+        while let Some(name) = self.open().map(Effect::name) {
+            self.remarks.push(format!(
+                "{name} would explain a part of the passages, but the interval of its size, from all of them, holds no effect at all: \
+                 withdrawn"
+            ));
+            self.withdraw(name)?;
+        }
+        Ok(())
+    }
+
+    /// The last effect of the panel that may be nothing.
+    fn open(&self) -> Option<&'static dyn Effect> {
+        let open =
+            |effect: &&&'static dyn Effect| self.named.iter().any(|named| may_be_nothing(**effect, named));
+        self.accepted.iter().rev().find(open).copied()
+    }
+
     /// Predictions of all passages, and the gap of the held-out ones. Effects that make it worse are withdrawn, the last one
     /// found first.
     fn predict(&mut self, base: &World) -> Result<(Vec<Prediction>, Gap), GapError> {
@@ -124,7 +145,7 @@ impl Session<'_> {
     }
 
     /// Takes one effect out of the model and out of the verdict.
-    fn withdraw(&mut self, name: &str) -> Result<(), GapError> {
+    pub(super) fn withdraw(&mut self, name: &str) -> Result<(), GapError> {
         self.taken_back(name);
         if let Some(k) = self.latent_fits.iter().position(|(e, _)| e.name() == name) {
             let (_, found) = self.latent_fits.remove(k);
@@ -191,6 +212,17 @@ impl Session<'_> {
             }
         }
     }
+}
+
+/// Whether the stated intervals of all sizes of an effect hold where there is none.
+fn may_be_nothing(effect: &dyn Effect, named: &Named) -> bool {
+    let (true, Some(nought)) = (effect.name() == named.name, effect.nought()) else { return false };
+    effect.parameters().iter().zip(nought).take(effect.sizes()).filter(|(p, _)| !p.nuisance).all(
+        |(p, nought)| {
+            let stated = named.parameters.iter().find(|(name, ..)| *name == p.name);
+            stated.is_some_and(|(_, _, low, high)| (*low..=*high).contains(&p.value(nought)))
+        },
+    )
 }
 
 /// What is said of an effect with which the held-out passages are predicted worse than by the base model.

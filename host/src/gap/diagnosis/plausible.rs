@@ -182,14 +182,19 @@ fn chance(y: &[f64], x: &[f64], z: &[f64]) -> f64 {
 /// Sizes of an effect must be this many standard deviations away from nought.
 const CLEAR_OF_NOUGHT: f64 = 3.0;
 
+/// Where there is no nought to be clear of, recordings that leave this part of what was uncertain before them tell no size.
+const TOLD: f64 = 0.5;
+
 /// Whether effect `index` of a fit is larger than what the forward model's own errors can pass for, and than what is uncertain of
 /// it; `inflation` is the squared misfit per value.
 pub(super) fn large_enough(effect: &dyn Effect, fit: &Fit, index: usize, inflation: f64) -> bool {
-    let (Some(coordinates), Some(nought)) = (fit.state.effects.get(index), effect.nought()) else {
-        return true;
-    };
+    let Some(coordinates) = fit.state.effects.get(index) else { return true };
     let from_it_on: usize = fit.state.effects[index..].iter().map(Vec::len).sum();
     let first = fit.covariance.nrows() - from_it_on;
+    let Some(nought) = effect.nought() else {
+        let mut sizes = effect.parameters().iter().take(effect.sizes()).enumerate();
+        return sizes.all(|(k, p)| fit.covariance[(first + k, first + k)] < (TOLD * p.prior.1).powi(2));
+    };
     let parameters = effect.parameters().iter().zip(coordinates.iter().zip(&nought)).enumerate();
     parameters.take(effect.sizes()).any(|(k, (p, (c, n)))| {
         let sd = (inflation * fit.covariance[(first + k, first + k)].max(0.0)).sqrt();

@@ -42,9 +42,15 @@ impl Session<'_> {
         if !state.world(&self.base.frame, &self.accepted).bed.is_linear() {
             return Ok(());
         }
-        relinearise(self.base, &self.accepted, &state, self.search)?;
+        self.renew_derivatives()?;
         self.fit = Some(settled(&self.base.frame, &self.accepted, state, self.search)?);
         Ok(())
+    }
+
+    /// Derivatives by the path, and what wheels do by nature, of the current model.
+    pub(super) fn renew_derivatives(&mut self) -> Result<(), GapError> {
+        let state = self.state();
+        relinearise(self.base, &self.accepted, &state, self.search)
     }
 
     /// Looks for effects of wheels again, with the effect of the panel that was found after them in the model: wheels scatter

@@ -9,6 +9,7 @@ use crate::gap::effect::{ActsOn, Effect, Stage};
 use crate::gap::fit::{Fit, FitOptions, State, fit, settled, simulate};
 use crate::gap::forward::Response;
 use crate::gap::latent::{Latent, LatentFit, Scene};
+use crate::gap::linear::BogieResponses;
 use crate::gap::measure::{self, ALIGN_M};
 use crate::gap::select::{Standing, Tried, gain, round};
 use crate::gap::world::SensorModel;
@@ -87,13 +88,7 @@ impl Session<'_> {
     pub(super) fn search(&mut self, progress: &dyn Progress) -> Result<(), GapError> {
         for number in self.named.len()..MOST_EFFECTS {
             progress.begin(&format!("effects, round {}", number + 1), 2);
-            let earlier = Confirmed {
-                squares: self.current_squares()?,
-                described: self.described(),
-                accepted: self.accepted.len(),
-                fit: self.fit.clone(),
-            };
-            if !self.one_round(&earlier, progress)? {
+            if !self.one_round(progress)? {
                 break;
             }
             if self.adrift() {
@@ -121,6 +116,27 @@ impl Session<'_> {
         Ok(())
     }
 
+    /// Takes an effect into the model with which that misses the recordings by no more than `most` (squares, per value); none that
+    /// leaves more.
+    pub(super) fn search_what_mends(&mut self, most: f64, progress: &dyn Progress) -> Result<(), GapError> {
+        progress.begin("effects that mend the model", 2);
+        if !self.one_round(progress)? {
+            return Ok(());
+        }
+        if !self.accepted.is_empty() {
+            // From afar, one fit does not get there.
+            self.fit = Some(settled(&self.base.frame, &self.accepted, self.state(), self.search)?);
+        }
+        if self.misfit() <= most {
+            return Ok(());
+        }
+        if let Some(name) = self.named.last().map(|n| n.name) {
+            self.withdraw(name)?;
+            self.renew_derivatives()?;
+        }
+        Ok(())
+    }
+
     /// Whether wheels differ in ways that the model does not know, with an effect of the panel in it: what is looked for on top would
     /// mend the description of that effect.
     fn adrift(&self) -> bool {
@@ -128,7 +144,13 @@ impl Session<'_> {
     }
 
     /// Tries everything on top of what is accepted; accepts the best if it is good enough.
-    fn one_round(&mut self, earlier: &Confirmed, progress: &dyn Progress) -> Result<bool, GapError> {
+    fn one_round(&mut self, progress: &dyn Progress) -> Result<bool, GapError> {
+        let earlier = &Confirmed {
+            squares: self.current_squares()?,
+            described: self.described(),
+            accepted: self.accepted.len(),
+            fit: self.fit.clone(),
+        };
         let frame = &self.base.frame;
         let reference = if self.accepted.is_empty() {
             // The base model has settled already.
@@ -186,7 +208,8 @@ impl Session<'_> {
             if self.confirm(earlier, &list[k])? {
                 self.prune()?;
                 if list[k].acts_on == ActsOn::Panel {
-                    if lost {
+                    // What single wheels do to a window depends on the panel, too.
+                    if lost || self.wheels_named() {
                         self.relinearise()?;
                     }
                     self.review_wheels()?;
@@ -195,6 +218,11 @@ impl Session<'_> {
             }
         }
         Ok(false)
+    }
+
+    /// Whether an effect of single wheels is in the model.
+    fn wheels_named(&self) -> bool {
+        self.latent_fits.iter().any(|(e, _)| e.acts_on() == ActsOn::Wheels)
     }
 
     /// Effects in the model whose description may leave something that passes for a further one: not what only the recorder does.
@@ -303,10 +331,12 @@ impl Session<'_> {
         let responses = simulate(&world, &self.base.frame, &all)?;
         let late = self.late(&state, &responses, world.sensor);
         let frame = &self.base.frame;
+        let mounted: Vec<BogieResponses> =
+            frame.responses.iter().map(|r| r.through_mount(&world.sensor)).collect();
         let scene = Scene::new(
             &world,
             &frame.observed,
-            &frame.responses,
+            &mounted,
             &self.base.shapes,
             &self.base.variation,
             &responses,

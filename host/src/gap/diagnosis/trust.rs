@@ -63,6 +63,11 @@ impl Session<'_> {
         }
     }
 
+    /// Whether passages do not resemble one another.
+    pub(super) fn mixed(&self) -> bool {
+        Strangers::among(&self.base.frame.observed).matter()
+    }
+
     /// Whether there is enough, and one crossing only, to look for effects in. What is wrong is said.
     pub(super) fn trustworthy(&mut self, site: &Site) -> bool {
         let observed = &self.base.frame.observed;

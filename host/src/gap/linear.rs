@@ -241,3 +241,31 @@ fn node(world: &World, simulator: &Simulator, axle_load_kg: f64, speed_m_s: f64)
     };
     Ok(Node { speed_m_s, knots, loads: [load(0)?, load(1)?, load(2)?, load(3)?] })
 }
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::super::base::{base, nominal_world};
+    use super::super::diagnosis::PATH_PRIOR;
+    use super::*;
+    use crate::ballast::BallastParameters;
+    use crate::recording::read_site;
+
+    /// Linearised with the mount in the world, they went through it a second time in every fit.
+    #[test]
+    fn regress_derivatives_are_those_of_a_well_mounted_sensor() {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/data/field");
+        let mut site = read_site(&root.join("reference-1")).unwrap();
+        site.passages.truncate(1);
+        let base = base(&site, &[0], &[0], &PATH_PRIOR, SensorModel::default()).unwrap();
+        let firm = nominal_world(&site, BallastParameters::NOMINAL).unwrap();
+        let mut loose = firm.clone();
+        loose.sensor.mount = Some((240.0, 0.15));
+        let observed = &base.frame.observed;
+        let both = |world: &World| Linear::new(world, observed).unwrap().responses(&observed[0]);
+        let (firm, bare) = (both(&firm), both(&loose));
+        assert_eq!(firm.both, bare.both);
+        assert_eq!(bare.through_mount(&loose.sensor).both, *loose.sensor.through_mount(&bare.both));
+    }
+}

@@ -115,3 +115,6 @@ pub const SHIFT: f64 = 0.2;
 /// Model against the simulator of the trials where wheels are alike, RMS of the mean window relative to the signal: measured
 /// 0.0029, noise included.
 pub const ALIKE_WHEELS: f64 = 0.01;
+
+/// Part of the gap that a light mount closes: 1.00; 0.88 with passages a wave from their places.
+pub const LIGHT_MOUNT_CLOSED: f64 = 0.95;

@@ -71,6 +71,11 @@ impl Variation {
         self.load >= Self::RANGE[1][1] && self.depth >= Self::RANGE[3][1]
     }
 
+    /// Whether noise stands in for what the parts leave of the scatter: as large as it may get.
+    pub fn noisy(&self, sensor: &Sensor) -> bool {
+        self.noise_m_s2 >= 0.99 * most_noise_m_s2(sensor)
+    }
+
     fn values(&self) -> [f64; PARTS] {
         [self.noise_m_s2, self.load, self.side_load, self.depth, self.shift_m, self.own_m, self.own_stock_m]
     }
@@ -231,11 +236,15 @@ const WORTH_ANOTHER: f64 = 1.0;
 /// Sizes that make the scatter of windows recorded by `sensor` most probable: one at a time, by shrinking factors.
 pub fn estimate(passages: &[(&Shapes, Mat<f64>)], sensor: &Sensor) -> Variation {
     let mut range = Variation::RANGE;
-    range[0][1] = range[0][1].max(MOST_NOISE * stated_noise_m_s2(sensor));
+    range[0][1] = most_noise_m_s2(sensor);
     let mut search = Search::new(passages, range);
     search.sweep(&OWN_FACTORS, 1);
     search.sweep(&FACTORS, 0);
     Variation::of_values(search.best)
+}
+
+fn most_noise_m_s2(sensor: &Sensor) -> f64 {
+    Variation::RANGE[0][1].max(MOST_NOISE * stated_noise_m_s2(sensor))
 }
 
 /// Search for the sizes of the parts.

@@ -9,7 +9,6 @@ use crate::gap::effect::{ActsOn, Effect, Stage};
 use crate::gap::fit::{Fit, FitOptions, State, fit, settled, simulate};
 use crate::gap::forward::Response;
 use crate::gap::latent::{Latent, LatentFit, Scene};
-use crate::gap::linear::BogieResponses;
 use crate::gap::measure::{self, ALIGN_M};
 use crate::gap::select::{Standing, Tried, gain, round};
 use crate::gap::world::SensorModel;
@@ -185,12 +184,12 @@ impl Session<'_> {
         progress.step();
         let mut list = self.candidates(&tried, &reference, &latent)?;
         let misfit: f64 = reference.passages.iter().map(|p| squares(&p.residual)).sum();
+        let rings = self.rings(&reference.state);
         for c in &mut list {
-            c.gain = if self.worth_naming(c, earlier.described, misfit) {
-                c.gain
-            } else {
-                c.gain.min(0.5 * LEAST_GAIN)
-            };
+            let of_ringing = rings && c.acts_on == ActsOn::Wheels;
+            if of_ringing || !self.worth_naming(c, earlier.described, misfit) {
+                c.gain = c.gain.min(0.5 * LEAST_GAIN);
+            }
         }
         if !lost {
             put_wheels_first(&mut list);
@@ -208,8 +207,8 @@ impl Session<'_> {
             if self.confirm(earlier, &list[k])? {
                 self.prune()?;
                 if list[k].acts_on == ActsOn::Panel {
-                    // What single wheels do to a window depends on the panel, too.
-                    if lost || self.wheels_named() {
+                    // What single wheels do to a window depends on the panel, too, but hardly on the recorder.
+                    if lost || (self.wheels_named() && list[k].stage != Stage::Sensor) {
                         self.relinearise()?;
                     }
                     self.review_wheels()?;
@@ -308,6 +307,14 @@ impl Session<'_> {
         Ok(common.chain(latent).collect())
     }
 
+    /// Whether a mount rings on so that what wheels do by nature does not describe how they differ: waves at its frequency would pass
+    /// for those of wheels.
+    fn rings(&self, state: &State) -> bool {
+        let sensor = &self.base.frame.base.crossing.sensor;
+        let mount = state.world(&self.base.frame, &self.accepted).sensor.mount;
+        mount.is_some() && self.base.variation.noisy(sensor)
+    }
+
     /// Gain of every fit in the log likelihood of the measured receptance; nought without one.
     fn heard(&self, tried: &[Tried<'static>], reference: &Fit) -> Result<Vec<f64>, GapError> {
         let Some(hammer) = self.hammer else { return Ok(vec![0.0; tried.len()]) };
@@ -331,12 +338,10 @@ impl Session<'_> {
         let responses = simulate(&world, &self.base.frame, &all)?;
         let late = self.late(&state, &responses, world.sensor);
         let frame = &self.base.frame;
-        let mounted: Vec<BogieResponses> =
-            frame.responses.iter().map(|r| r.through_mount(&world.sensor)).collect();
         let scene = Scene::new(
             &world,
             &frame.observed,
-            &mounted,
+            &frame.responses,
             &self.base.shapes,
             &self.base.variation,
             &responses,

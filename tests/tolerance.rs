@@ -97,6 +97,8 @@ pub const CLOSED_FRACTION: f64 = 0.01;
 pub const DEEP_VOID_CLOSED: f64 = 0.9;
 /// Part of the gap that a mount closes beside recordings that clip: 1.01, and 0.93 by the clipping alone.
 pub const MOUNT_BESIDE_CLIPPING_CLOSED: f64 = 0.97;
+/// Part of the gap that a light mount closes: 1.00; 0.88 with passages a wave from their places.
+pub const LIGHT_MOUNT_CLOSED: f64 = 0.95;
 
 /// Gaps from `predictions.parquet` against `diagnosis.json`, relative: rounding of sums of some 10⁴ squares.
 pub const GAP_RECOMPUTED: f64 = 1e-9;
@@ -115,6 +117,3 @@ pub const SHIFT: f64 = 0.2;
 /// Model against the simulator of the trials where wheels are alike, RMS of the mean window relative to the signal: measured
 /// 0.0029, noise included.
 pub const ALIKE_WHEELS: f64 = 0.01;
-
-/// Part of the gap that a light mount closes: 1.00; 0.88 with passages a wave from their places.
-pub const LIGHT_MOUNT_CLOSED: f64 = 0.95;

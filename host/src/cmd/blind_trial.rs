@@ -57,7 +57,7 @@ pub(super) struct BlindTrialArgs {
 impl BlindTrialArgs {
     pub(super) fn run(self) -> anyhow::Result<()> {
         create_dir(&self.out)?;
-        let scores = self.out.join("trials.json");
+        let scores = self.scores();
         if !self.only.is_empty() && scores.exists() {
             bail!(
                 "{} holds the scores of another run, which single trials would replace; choose another --out",
@@ -75,6 +75,11 @@ impl BlindTrialArgs {
             true => print_json(&serde_json::to_value(&scores)?),
             false => print(&table(&scores)),
         }
+    }
+
+    /// File of the scores.
+    fn scores(&self) -> PathBuf {
+        self.out.join("trials.json")
     }
 
     /// Numbers of the trials that are asked for.
@@ -115,7 +120,7 @@ impl BlindTrialArgs {
 
     /// Trials of an earlier run with this seed and build.
     fn known(&self, version: &str) -> anyhow::Result<BTreeMap<u64, Score>> {
-        let path = self.out.join("trials.json");
+        let path = self.scores();
         if !path.exists() {
             return Ok(BTreeMap::new());
         }
@@ -135,7 +140,7 @@ impl BlindTrialArgs {
             score: score.clone(),
         };
         let records: Vec<Record> = done.iter().map(record).collect();
-        write_atomic(&self.out.join("trials.json"), serde_json::to_string_pretty(&records)?.as_bytes())?;
+        write_atomic(&self.scores(), serde_json::to_string_pretty(&records)?.as_bytes())?;
         write_atomic(&self.out.join("trials.csv"), csv(&records).as_bytes())?;
         write_atomic(&self.out.join("table.txt"), table(&scores).as_bytes())?;
         for (name, svg) in figures(&scores)? {

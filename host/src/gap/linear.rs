@@ -57,9 +57,7 @@ impl BogieResponses {
             load: std::array::from_fn(|_| [vec![0.0; len], vec![0.0; len]]),
         }
     }
-}
 
-impl BogieResponses {
     /// The same as a sensor on its mount has them, from those of a well mounted one. What loads do is too slow for a mount, and the
     /// only thing that does not begin within the window: cut off there, it would make the mount ring.
     pub fn through_mount(&self, sensor: &SensorModel) -> Self {

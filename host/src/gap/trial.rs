@@ -12,7 +12,7 @@ use crate::recording::files::write_atomic;
 use crate::recording::{Design, Site, TrafficDirection};
 use crate::scenario::{Scenario, ScenarioError, read_scenario, simulate};
 pub use score::{Bin, Score, bins, main_parameter, score};
-use strength::{DRAWN, Drawn, strength};
+use strength::{DRAWN, Drawn, Plain};
 
 /// What a trial asks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -65,8 +65,6 @@ pub enum TrialError {
 
 /// Passages of a trial's site.
 const PASSAGES: usize = 16;
-/// Passages that tell how strong an effect is.
-const STRENGTH_PASSAGES: usize = 3;
 /// Streams of random numbers of one seed: for sites, and for effects.
 const SITE_STREAMS: u64 = 1000;
 const EFFECT_STREAMS: u64 = 1_000_000;
@@ -76,29 +74,31 @@ const NOMINAL: &str = include_str!("trial_site.toml");
 /// Draws and simulates trial `index` of `seed`; `work` holds a file while the nominal site is read.
 pub fn draw(seed: u64, index: u64, work: &Path) -> Result<Trial, TrialError> {
     let (mut scenario, names) = scenario_of(seed, index, work)?;
-    let mut few = scenario.clone();
-    few.simulation.passages = STRENGTH_PASSAGES;
-    let plain = simulate(&few, &Silent)?.site;
-    let stream = |k: usize| Random::new(seed, EFFECT_STREAMS + 2 * index + k as u64);
     let question = asked(index);
-    let drawn =
-        names.iter().enumerate().map(|(k, name)| Drawn::new((name, question), stream(k), &few, &plain));
+    let mut answer = Answer {
+        question,
+        effects: names.iter().map(|n| (*n).to_string()).collect(),
+        parameters: Vec::new(),
+        strength: 0.0,
+        alone: Vec::new(),
+    };
+    if names.is_empty() {
+        return Ok(Trial { site: simulate(&scenario, &Silent)?.site, exclude: None, answer });
+    }
+    let plain = Plain::of(&scenario)?;
+    let stream = |k: usize| Random::new(seed, EFFECT_STREAMS + 2 * index + k as u64);
+    let drawn = names.iter().enumerate().map(|(k, name)| Drawn::new((name, question), stream(k), &plain));
     let drawn: Vec<Drawn> = drawn.collect::<Result<_, ScenarioError>>()?;
-    let put = |d: &Drawn, scenario: &mut Scenario| d.put(&mut scenario.simulation.effects);
-    let parameters = drawn.iter().map(|d| (d.name.to_string(), put(d, &mut scenario))).collect();
+    for d in &drawn {
+        answer.parameters.push((d.name.to_string(), d.put(&mut scenario.simulation.effects)));
+    }
     let site = simulate(&scenario, &Silent)?.site;
-    let alone = drawn.iter().map(|d| d.alone(&few, &plain)).collect::<Result<_, ScenarioError>>()?;
-    Ok(Trial {
-        exclude: (question == Question::LeftOut).then(|| names[0]),
-        answer: Answer {
-            question,
-            effects: names.iter().map(|n| (*n).to_string()).collect(),
-            parameters,
-            strength: if names.is_empty() { 0.0 } else { strength(&plain, &site) },
-            alone,
-        },
-        site,
-    })
+    answer.strength = plain.changed_by(&site);
+    answer.alone = match drawn.as_slice() {
+        [_] => vec![answer.strength],
+        several => several.iter().map(|d| d.alone(&plain)).collect::<Result<_, ScenarioError>>()?,
+    };
+    Ok(Trial { site, exclude: (question == Question::LeftOut).then(|| names[0]), answer })
 }
 
 /// What the trial of a number asks.

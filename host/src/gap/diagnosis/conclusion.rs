@@ -100,7 +100,7 @@ impl Session<'_> {
     /// Withdraws effects of the panel of which all training passages together leave open whether they are there at all, the last one
     /// found first: the search has seen a part of the passages.
     fn withdraw_what_may_be_nothing(&mut self) -> Result<(), GapError> {
-        while let Some(name) = self.open().map(Effect::name) {
+        while let Some(name) = self.open() {
             self.remarks.push(format!(
                 "{name} would explain a part of the passages, but the interval of its size, from all of them, holds no effect at all: \
                  withdrawn"
@@ -111,10 +111,10 @@ impl Session<'_> {
     }
 
     /// The last effect of the panel that may be nothing.
-    fn open(&self) -> Option<&'static dyn Effect> {
-        let open =
-            |effect: &&&'static dyn Effect| self.named.iter().any(|named| may_be_nothing(**effect, named));
-        self.accepted.iter().rev().find(open).copied()
+    fn open(&self) -> Option<&'static str> {
+        let effect = |named: &Named| self.accepted.iter().find(|e| e.name() == named.name);
+        let open = |named: &&Named| effect(named).is_some_and(|e| may_be_nothing(*e, named));
+        self.named.iter().rev().find(open).map(|named| named.name)
     }
 
     /// Predictions of all passages, and the gap of the held-out ones. Effects that make it worse are withdrawn, the last one
@@ -217,9 +217,9 @@ impl Session<'_> {
     }
 }
 
-/// Whether the stated intervals of all sizes of an effect hold where there is none.
+/// Whether the intervals that are stated of all sizes of an effect hold where there is none.
 fn may_be_nothing(effect: &dyn Effect, named: &Named) -> bool {
-    let (true, Some(nought)) = (effect.name() == named.name, effect.nought()) else { return false };
+    let Some(nought) = effect.nought() else { return false };
     effect.parameters().iter().zip(nought).take(effect.sizes()).filter(|(p, _)| !p.nuisance).all(
         |(p, nought)| {
             let stated = named.parameters.iter().find(|(name, ..)| *name == p.name);

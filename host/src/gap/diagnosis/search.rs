@@ -208,7 +208,7 @@ impl Session<'_> {
                 self.prune()?;
                 if list[k].acts_on == ActsOn::Panel {
                     // What single wheels do to a window depends on the panel, too, but hardly on the recorder.
-                    if lost || (self.wheels_named() && list[k].stage != Stage::Sensor) {
+                    if lost || (self.of_wheels() > 0 && list[k].stage != Stage::Sensor) {
                         self.relinearise()?;
                     }
                     self.review_wheels()?;
@@ -219,14 +219,14 @@ impl Session<'_> {
         Ok(false)
     }
 
-    /// Whether an effect of single wheels is in the model.
-    fn wheels_named(&self) -> bool {
-        self.latent_fits.iter().any(|(e, _)| e.acts_on() == ActsOn::Wheels)
+    /// Effects of single wheels in the model.
+    fn of_wheels(&self) -> usize {
+        self.latent_fits.iter().filter(|(e, _)| e.acts_on() == ActsOn::Wheels).count()
     }
 
     /// Effects in the model whose description may leave something that passes for a further one: not what only the recorder does.
     fn described(&self) -> usize {
-        self.accepted.len() + self.latent_fits.iter().filter(|(e, _)| e.acts_on() == ActsOn::Wheels).count()
+        self.accepted.len() + self.of_wheels()
     }
 
     /// Whether an effect explains enough to be named on top of `described` others.

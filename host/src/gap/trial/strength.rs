@@ -8,7 +8,7 @@ use crate::recording::Site;
 use crate::scenario::effects as kinds;
 use crate::scenario::{Effects, Scenario, ScenarioError, simulate};
 
-/// Effects that trials draw; those without a detector in the catalogue are drawn as unknown ones.
+/// Effects that trials draw: the whole catalogue.
 pub(super) const DRAWN: [&str; 20] = [
     "voided-sleepers",
     "ballast-stiffening",
@@ -43,6 +43,38 @@ const CLOCK_ERROR: &str = "clock-error";
 /// Halvings of the range of an effect in search of a strength.
 const HALVINGS: usize = 6;
 
+/// Passages that tell how strong an effect is.
+const STRENGTH_PASSAGES: usize = 3;
+
+/// A few passages of a scenario without effects, beside which effects show how strong they are.
+pub(super) struct Plain {
+    scenario: Scenario,
+    site: Site,
+}
+
+impl Plain {
+    pub fn of(scenario: &Scenario) -> Result<Self, ScenarioError> {
+        let mut scenario = scenario.clone();
+        scenario.simulation.passages = STRENGTH_PASSAGES;
+        let site = simulate(&scenario, &Silent)?.site;
+        Ok(Self { scenario, site })
+    }
+
+    /// RMS of the change over RMS of the signal, in the band of the comparison.
+    pub fn changed_by(&self, site: &Site) -> f64 {
+        let (mut change, mut signal) = (0.0, 0.0);
+        for (a, b) in self.site.passages.iter().zip(&site.passages) {
+            let band = |v: &[f64]| crate::signal::brick_band(v, a.sample_rate_hz, 1.0, BAND_HZ[0]);
+            let x: Vec<f64> = a.acceleration_m_s2.iter().map(|v| f64::from(*v)).collect();
+            let difference: Vec<f64> =
+                x.iter().zip(&b.acceleration_m_s2).map(|(x, y)| x - f64::from(*y)).collect();
+            change += band(&difference).iter().map(|v| v * v).sum::<f64>();
+            signal += band(&x).iter().map(|v| v * v).sum::<f64>();
+        }
+        (change / f64::max(signal, f64::MIN_POSITIVE)).sqrt()
+    }
+}
+
 /// An effect of a trial: its strength is along its range, all else of it is drawn once.
 pub(super) struct Drawn {
     pub name: &'static str,
@@ -52,13 +84,11 @@ pub(super) struct Drawn {
 }
 
 impl Drawn {
-    /// Draws how much the effect is to change the signal, and finds the level at which it does, alone in a scenario of which `plain` is
-    /// the site without it. An effect whose range ends before stays at the end.
+    /// Draws how much the effect is to change the signal, and finds the level at which it does alone. An effect whose range ends before stays at the end.
     pub fn new(
         (name, question): (&'static str, Question),
         mut random: Random,
-        scenario: &Scenario,
-        plain: &Site,
+        plain: &Plain,
     ) -> Result<Self, ScenarioError> {
         let spread = if question == Question::One { SPREAD } else { TOLD };
         let (wanted, any) = (random.between(spread.0.ln(), spread.1.ln()).exp(), random.unit());
@@ -68,17 +98,17 @@ impl Drawn {
         let mut drawn = Self { name, random, level: 0.5 };
         let mut step = 0.25;
         for _ in 0..HALVINGS {
-            drawn.level += if drawn.alone(scenario, plain)? < wanted { step } else { -step };
+            drawn.level += if drawn.alone(plain)? < wanted { step } else { -step };
             step *= 0.5;
         }
         Ok(drawn)
     }
 
     /// How much it changes the signal alone.
-    pub fn alone(&self, scenario: &Scenario, plain: &Site) -> Result<f64, ScenarioError> {
-        let mut scenario = scenario.clone();
+    pub fn alone(&self, plain: &Plain) -> Result<f64, ScenarioError> {
+        let mut scenario = plain.scenario.clone();
         self.put(&mut scenario.simulation.effects);
-        Ok(strength(plain, &simulate(&scenario, &Silent)?.site))
+        Ok(plain.changed_by(&simulate(&scenario, &Silent)?.site))
     }
 
     /// Puts it into a scenario's effects; its main parameter.
@@ -204,20 +234,6 @@ fn put(effects: &mut Effects, (name, level): (&str, f64), mut random: Random) ->
             depth_factor
         }
     }
-}
-
-/// RMS of the change over RMS of the signal, in the band of the comparison.
-pub(super) fn strength(plain: &Site, changed: &Site) -> f64 {
-    let (mut change, mut signal) = (0.0, 0.0);
-    for (a, b) in plain.passages.iter().zip(&changed.passages) {
-        let band = |v: &[f64]| crate::signal::brick_band(v, a.sample_rate_hz, 1.0, BAND_HZ[0]);
-        let x: Vec<f64> = a.acceleration_m_s2.iter().map(|v| f64::from(*v)).collect();
-        let difference: Vec<f64> =
-            x.iter().zip(&b.acceleration_m_s2).map(|(x, y)| x - f64::from(*y)).collect();
-        change += band(&difference).iter().map(|v| v * v).sum::<f64>();
-        signal += band(&x).iter().map(|v| v * v).sum::<f64>();
-    }
-    (change / f64::max(signal, f64::MIN_POSITIVE)).sqrt()
 }
 
 #[cfg(test)]

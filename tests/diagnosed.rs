@@ -1,0 +1,63 @@
+//! Diagnoses of field recordings and of the sites of trials.
+
+use std::path::Path;
+
+use cpcm::gap::GapError;
+use cpcm::gap::diagnosis::{DiagnoseOptions, Diagnosis, diagnose};
+use cpcm::gap::effects::{COMMON, LATENT};
+use cpcm::gap::trial::scenario_of;
+use cpcm::progress::Silent;
+use cpcm::recording::{Site, read_site};
+use cpcm::scenario::{Scenario, simulate};
+
+/// A site of the field recordings.
+pub fn field(name: &str) -> Site {
+    read_site(&Path::new(env!("CARGO_MANIFEST_DIR")).join("data/field").join(name)).unwrap()
+}
+
+/// A site that is fast to diagnose.
+pub fn small(name: &str, passages: usize) -> Site {
+    let mut site = field(name);
+    site.passages.truncate(passages);
+    site
+}
+
+/// Where, not which.
+pub fn quick(site: &Site) -> Result<Diagnosis, GapError> {
+    diagnose(site, &DiagnoseOptions { quick: true, ..DiagnoseOptions::default() }, &Silent)
+}
+
+/// With the whole catalogue.
+pub fn full(site: &Site) -> Diagnosis {
+    diagnose(site, &DiagnoseOptions::default(), &Silent).unwrap()
+}
+
+/// Diagnosis with only some effects in the catalogue, which takes a part of the time.
+pub fn among(site: &Site, effects: &[&str]) -> Diagnosis {
+    let all = COMMON.iter().map(|e| e.name()).chain(LATENT.iter().map(|e| e.name()));
+    let exclude = all.filter(|name| !effects.contains(name)).map(Into::into).collect();
+    diagnose(site, &DiagnoseOptions { exclude, ..DiagnoseOptions::default() }, &Silent).unwrap()
+}
+
+/// Names of the effects of a verdict, in their order.
+pub fn named(found: &Diagnosis) -> Vec<&'static str> {
+    found.effects.iter().map(|e| e.name).collect()
+}
+
+/// Whether a remark of a diagnosis holds a word.
+pub fn says(found: &Diagnosis, word: &str) -> bool {
+    found.remarks.iter().any(|r| r.contains(word))
+}
+
+/// Scenario of a trial's site without the effects that are drawn there, which must be `drawn`: tests put in their own.
+pub fn trial(seed: u64, index: u64, drawn: &[&str]) -> Scenario {
+    let work = tempfile::tempdir().unwrap();
+    let (scenario, names) = scenario_of(seed, index, work.path()).unwrap();
+    assert_eq!(names, drawn, "trial {index} of seed {seed}");
+    scenario
+}
+
+/// What the sensor recorded of a scenario.
+pub fn recorded(scenario: &Scenario) -> Site {
+    simulate(scenario, &Silent).unwrap().site
+}

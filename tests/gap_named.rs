@@ -1,0 +1,162 @@
+//! What the diagnosis names on simulated sites on which it once named something else.
+
+use std::path::Path;
+
+use cpcm::gap::effect::Stage;
+use cpcm::gap::verdict::Verdict;
+use cpcm::recording::{Format, read_site, write_site};
+use cpcm::scenario::effects::{FrontRear, HollowWheels, Mount, PadStiffness, Saturation, Tonal};
+use cpcm::scenario::{Effects, read_scenario};
+use cpcm_tests::diagnosed::{among, full, named, quick, recorded, says, trial};
+use cpcm_tests::tolerance;
+
+/// The search had ended with the clipping, although interference is heard without any model; and the range had been read off the
+/// crests of the interference on top of it.
+#[test]
+fn regress_interference_is_named_beside_recordings_that_clip() {
+    let mut scenario = trial(19, 57, &["saturation", "tonal"]);
+    let saturation = Some(Saturation { range_m_s2: 24.97 });
+    let tonal = Some(Tonal { frequency_hz: 222.7, amplitude_m_s2: 1.006 });
+    scenario.simulation.effects = Effects { saturation, tonal, ..Effects::default() };
+    let mut site = recorded(&scenario);
+    site.passages.truncate(8);
+    let found = among(&site, &["saturation", "tonal"]);
+    assert_eq!(named(&found), ["saturation", "tonal"], "{:?} {:?}", found.verdict, found.remarks);
+    let (_, _, low, high) = found.effects[0].parameters[0];
+    let truth = scenario.simulation.effects.saturation.unwrap().range_m_s2;
+    assert!(low < truth && truth < high, "{low} … {high}, {truth}");
+}
+
+/// A resonant mount takes the transducer to its range: its misfit passed for what clipping destroys, and the search had ended there.
+#[test]
+fn regress_a_mount_is_named_beside_recordings_that_clip() {
+    let mut scenario = trial(22, 17, &["mount-resonance", "saturation"]);
+    let mount_resonance = Some(Mount { frequency_hz: 236.2, damping_ratio: 0.16 });
+    let saturation = Some(Saturation { range_m_s2: 78.96 });
+    scenario.simulation.effects = Effects { mount_resonance, saturation, ..Effects::default() };
+    let found = among(&recorded(&scenario), &["saturation", "mount-resonance"]);
+    assert_eq!(named(&found), ["saturation", "mount-resonance"], "{:?}", found.remarks);
+    assert!(found.gap.closed_fraction > tolerance::MOUNT_BESIDE_CLIPPING_CLOSED, "{:?}", found.gap);
+}
+
+/// A light mount rings on, and its waves passed for those of wheels; the last fit took passages that the search had not seen from where
+/// a model without the mount had put them.
+#[test]
+fn regress_a_light_mount_is_all_that_is_named() {
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/examples/site.toml");
+    let mut scenario = read_scenario(&file).unwrap();
+    scenario.simulation.passages = 24;
+    scenario.simulation.effects.mount_resonance = Some(Mount { frequency_hz: 150.0, damping_ratio: 0.06 });
+    let of_wheels = ["wheel-out-of-roundness", "hollow-wheels", "wheel-flat"];
+    let candidates = [["mount-resonance"].as_slice(), &of_wheels].concat();
+    let found = among(&recorded(&scenario), &candidates);
+    assert_eq!(named(&found), ["mount-resonance"], "{:?}", found.remarks);
+    assert!(found.gap.closed_fraction > tolerance::LIGHT_MOUNT_CLOSED, "{:?}", found.gap);
+}
+
+/// Wheels' derivatives were those of equal axles, with which hollow wheels were not found again once the axles were known to differ.
+#[test]
+fn regress_hollow_wheels_and_unequal_axles_are_both_named() {
+    let mut scenario = trial(22, 187, &["front-rear", "hollow-wheels"]);
+    let front_rear = Some(FrontRear { depth_difference: 1.461 });
+    let hollow_wheels = Some(HollowWheels { share: 0.3066, depth_factor: 2.977, shift_m: 0.0677 });
+    scenario.simulation.effects = Effects { front_rear, hollow_wheels, ..Effects::default() };
+    let found = among(&recorded(&scenario), &["front-rear", "hollow-wheels"]);
+    let named = named(&found);
+    assert!(
+        ["front-rear", "hollow-wheels"].iter().all(|e| named.contains(e)),
+        "{named:?} {:?}",
+        found.remarks
+    );
+}
+
+/// Three recordings did not resemble the others with a strong tone in them, and nothing was looked for.
+#[test]
+fn regress_a_strong_tone_does_not_make_strangers() {
+    let mut scenario = trial(21, 24, &["tonal"]);
+    scenario.simulation.effects.tonal = Some(Tonal { frequency_hz: 213.96, amplitude_m_s2: 12.65 });
+    let found = among(&recorded(&scenario), &["tonal"]);
+    assert_eq!(named(&found), ["tonal"], "{:?}", found.remarks);
+    let amplitude = found.effects[0].parameters.iter().find(|p| p.0 == "amplitude_m_s2").unwrap();
+    assert!(amplitude.2 < 12.65 && 12.65 < amplitude.3, "{amplitude:?}");
+}
+
+/// The last fit had found the crossing rail, which the search had named, to be 1.01 times as stiff as it should be.
+#[test]
+fn regress_what_may_be_nothing_is_withdrawn() {
+    let scenario = trial(21, 110, &[]);
+    let found = among(&recorded(&scenario), &["crossing-rail"]);
+    assert_eq!((found.verdict, named(&found).len()), (Verdict::NoGap, 0), "{:?}", found.effects);
+}
+
+/// Hollow wheels raise scatter and floor alike, so that no gap is left where their effect is not in the catalogue.
+#[test]
+fn regress_hollow_wheels_that_leave_no_gap_are_told() {
+    let mut scenario = trial(301, 5, &[]);
+    scenario.simulation.passages = 6;
+    let (share, depth_factor, shift_m) = (0.3, 2.0, 0.02);
+    scenario.simulation.effects.hollow_wheels = Some(HollowWheels { share, depth_factor, shift_m });
+    let site = recorded(&scenario);
+    let found = quick(&site).unwrap();
+    assert!(says(&found, "wheels differ"), "{:?}", found.wheels);
+    assert_eq!((found.verdict, found.stage), (Verdict::Unexplained, Some(Stage::Vehicle)));
+}
+
+/// From the base model, the ringing of a mount looks like bursts of single wheels: a flat was named first and kept.
+#[test]
+fn regress_the_ringing_of_a_mount_is_no_flat() {
+    let mut scenario = trial(15, 104, &["mount-resonance"]);
+    scenario.simulation.effects.mount_resonance = Some(Mount { frequency_hz: 221.8, damping_ratio: 0.1976 });
+    let found = full(&recorded(&scenario));
+    let named = named(&found);
+    assert_eq!(named, ["mount-resonance"]);
+}
+
+/// The base model had put trains a wave off, from where no effect led back, and interference was doubted together with it.
+#[test]
+fn regress_interference_and_soft_pads_are_both_named() {
+    let mut scenario = trial(18, 77, &["tonal", "pad-stiffness"]);
+    let tonal = Some(Tonal { frequency_hz: 97.54, amplitude_m_s2: 0.2809 });
+    let pad_stiffness = Some(PadStiffness { factor: 0.3317, damping_factor: 1.0 });
+    scenario.simulation.effects = Effects { tonal, pad_stiffness, ..Effects::default() };
+    let found = full(&recorded(&scenario));
+    let named = named(&found);
+    assert!(["tonal", "pad-stiffness"].iter().all(|e| named.contains(e)), "{named:?} {:?}", found.remarks);
+    let pads = found.effects.iter().find(|e| e.name == "pad-stiffness").unwrap();
+    let (_, _, low, high) = pads.parameters[0];
+    let truth = scenario.simulation.effects.pad_stiffness.unwrap().factor;
+    assert!(low < truth && truth < high, "{low} … {high}, {truth}");
+}
+
+/// The path of the stock rail, which nobody scans, was held to depart from the scan.
+#[test]
+fn regress_a_stock_rail_as_rough_as_rails_are_leaves_no_gap() {
+    let scenario = trial(19, 0, &[]);
+    let found = quick(&recorded(&scenario)).unwrap();
+    assert_eq!(found.verdict, Verdict::NoGap, "{:?}", found.remarks);
+}
+
+/// Ballast takes over what soft pads do, and leaves no gap where pads are not in the catalogue.
+#[test]
+fn regress_ballast_that_no_bed_has_is_told() {
+    let mut scenario = trial(18, 23, &["pad-stiffness"]);
+    scenario.simulation.effects.pad_stiffness = Some(PadStiffness { factor: 0.4221, damping_factor: 1.0 });
+    let found = quick(&recorded(&scenario)).unwrap();
+    assert!(says(&found, "hardly a bed does"), "{:?}", found.remarks);
+    assert_eq!(found.verdict, Verdict::Unexplained);
+}
+
+/// A dip in the stock rail and another crossing rail mended the description of the void, and took its size with them.
+#[test]
+fn regress_a_deep_void_is_all_that_is_named() {
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/examples/voided.toml");
+    let work = tempfile::tempdir().unwrap();
+    write_site(work.path(), &recorded(&read_scenario(&file).unwrap()), Format::Parquet).unwrap();
+    let found = full(&read_site(work.path()).unwrap());
+    let named = named(&found);
+    assert_eq!(named, ["voided-sleepers"], "{:?} {:?} {:?}", found.verdict, found.remarks, found.gap);
+    let (_, _, low, high) = found.effects[0].parameters[0];
+    assert!(low < 4.5e-3 && 4.5e-3 < high, "{low} … {high}");
+    // Half of the passages a wave from their places left 69 %.
+    assert!(found.gap.closed_fraction > tolerance::DEEP_VOID_CLOSED, "{:?}", found.gap);
+}

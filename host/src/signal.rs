@@ -9,13 +9,20 @@ pub use filter::{brick_band, taper};
 pub use spline::CubicSpline;
 
 use std::cell::RefCell;
+use std::collections::HashMap;
+use std::sync::Arc;
 
 use faer::c64;
-use realfft::RealFftPlanner;
+use rayon::iter::IndexedParallelIterator;
+use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
+
+type Plans<T> = RefCell<HashMap<usize, Arc<T>>>;
 
 thread_local! {
-    /// Plans are kept per thread: making one costs more than using it.
-    static PLANNER: RefCell<RealFftPlanner<f64>> = RefCell::new(RealFftPlanner::new());
+    /// Plans by length are kept per thread: making one costs more than using it. Each has its own planner, as a planner makes
+    /// another plan, which rounds otherwise, where it can build on one that it has made before.
+    static FORWARD: Plans<dyn RealToComplex<f64>> = Plans::default();
+    static INVERSE: Plans<dyn ComplexToReal<f64>> = Plans::default();
 }
 
 /// One-sided spectrum of a real signal (unnormalised forward transform): `n/2 + 1` values.
@@ -23,7 +30,10 @@ pub fn rfft(signal: &[f64]) -> Vec<c64> {
     if signal.is_empty() {
         return Vec::new();
     }
-    let plan = PLANNER.with_borrow_mut(|p| p.plan_fft_forward(signal.len()));
+    let n = signal.len();
+    let plan = FORWARD.with_borrow_mut(|plans| {
+        plans.entry(n).or_insert_with(|| RealFftPlanner::new().plan_fft_forward(n)).clone()
+    });
     let mut input = signal.to_vec();
     let mut spectrum = plan.make_output_vec();
     // The lengths come from the plan itself, so the transform cannot refuse them.
@@ -38,7 +48,9 @@ pub fn irfft(spectrum: &[c64], n: usize) -> Vec<f64> {
     if n == 0 {
         return Vec::new();
     }
-    let plan = PLANNER.with_borrow_mut(|p| p.plan_fft_inverse(n));
+    let plan = INVERSE.with_borrow_mut(|plans| {
+        plans.entry(n).or_insert_with(|| RealFftPlanner::new().plan_fft_inverse(n)).clone()
+    });
     let mut input = plan.make_input_vec();
     let shared = input.len().min(spectrum.len());
     input[..shared].copy_from_slice(&spectrum[..shared]);
@@ -111,6 +123,11 @@ pub fn dot(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(x, y)| x * y).sum()
 }
 
+/// Sum of values computed side by side, in their order: threads finish as they will, and rounding would tell.
+pub fn sum_in_order(values: impl IndexedParallelIterator<Item = f64>) -> f64 {
+    values.collect::<Vec<f64>>().iter().sum()
+}
+
 /// Mean of the values within `half` samples of `at` on either side, as far as there are any.
 pub fn mean_around(values: &[f64], at: usize, half: usize) -> f64 {
     mean(&values[at.saturating_sub(half)..(at + half + 1).min(values.len())])
@@ -130,6 +147,32 @@ pub fn quantile(values: &[f64], q: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn property_sum_in_order_is_the_sum_of_one_thread() {
+        use rayon::prelude::*;
+        let values: Vec<f64> =
+            (0..1000).map(|i| (f64::from(i) * 0.7).sin().exp() * 10f64.powi(i % 7)).collect();
+        let one: f64 = values.iter().sum();
+        for _ in 0..20 {
+            assert_eq!(sum_in_order(values.par_iter().copied()), one);
+        }
+    }
+
+    /// 1054 is twice a prime, for whose transform a planner makes one of 576.
+    #[test]
+    fn property_spectrum_does_not_depend_on_what_was_transformed_before() {
+        let signal = |n: u32| -> Vec<f64> { (0..n).map(|i| (f64::from(i) * 0.37).sin()).collect() };
+        let there_and_back = |before: Option<u32>| {
+            let transforms = move || {
+                before.iter().for_each(|n| drop(irfft(&rfft(&signal(*n)), *n as usize)));
+                let spectrum = rfft(&signal(576));
+                (irfft(&spectrum, 576), spectrum)
+            };
+            std::thread::spawn(transforms).join().unwrap()
+        };
+        assert!(there_and_back(Some(1054)) == there_and_back(None));
+    }
 
     #[test]
     fn property_inverse_undoes_forward_for_even_and_odd_lengths() {

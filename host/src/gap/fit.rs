@@ -24,6 +24,7 @@ use super::forward::{Response, Simulator};
 use super::linear::BogieResponses;
 use super::world::{SensorModel, World};
 use crate::ballast::BallastParameters;
+use crate::signal::sum_in_order;
 
 /// Everything that stays fixed during the fits of one site.
 pub struct Frame {
@@ -323,16 +324,12 @@ fn cost(
     subset: &[usize],
     residuals: &[Vec<f64>],
 ) -> f64 {
-    let misfit: f64 = subset
-        .par_iter()
-        .zip(residuals)
-        .map(|(i, r)| {
-            let column = Mat::from_fn(r.len(), 1, |k, _| r[k]);
-            let white = whitened(&frame.factors[*i], &column);
-            0.5 * white.col_as_slice(0).iter().map(|v| v * v).sum::<f64>()
-        })
-        .sum();
-    misfit + prior_cost(frame, effects, state, subset)
+    let misfit = subset.par_iter().zip(residuals).map(|(i, r)| {
+        let column = Mat::from_fn(r.len(), 1, |k, _| r[k]);
+        let white = whitened(&frame.factors[*i], &column);
+        0.5 * white.col_as_slice(0).iter().map(|v| v * v).sum::<f64>()
+    });
+    sum_in_order(misfit) + prior_cost(frame, effects, state, subset)
 }
 
 /// Columns [ballast | common shift | effects] per passage by differences.

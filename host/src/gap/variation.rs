@@ -12,7 +12,7 @@ use super::forward::BAND_HZ;
 use super::linear::{BogieResponses, WheelMoves};
 use super::splines::PathSplines;
 use crate::recording::Sensor;
-use crate::signal::taper;
+use crate::signal::{sum_in_order, taper};
 use crate::track::Side;
 
 /// Sizes (standard deviations) of the parts.
@@ -265,7 +265,9 @@ impl<'a> Search<'a> {
     fn log_likelihood(&self, values: [f64; PARTS]) -> f64 {
         use rayon::prelude::*;
         let variation = Variation::of_values(values);
-        self.passages.par_iter().map(|(shapes, scatter)| shapes.log_likelihood(&variation, scatter)).sum()
+        sum_in_order(
+            self.passages.par_iter().map(|(shapes, scatter)| shapes.log_likelihood(&variation, scatter)),
+        )
     }
 
     /// Rounds over the parts from `first` on, with each factor in turn.

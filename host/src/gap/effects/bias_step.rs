@@ -11,7 +11,7 @@ use rayon::prelude::*;
 use crate::gap::data::{QuietEnd, RATE_HZ};
 use crate::gap::effect::Stage;
 use crate::gap::latent::{Latent, LatentFit, Scene};
-use crate::signal::{centre, dot, irfft, rfft, rfft_frequencies_hz, taper};
+use crate::signal::{centre, dot, irfft, rfft, rfft_frequencies_hz, sum_in_order, taper};
 
 /// See the module.
 pub struct BiasStep;
@@ -41,7 +41,7 @@ impl Latent for BiasStep {
     fn explore(&self, scene: &Scene) -> Option<LatentFit> {
         let (score, decay_s) = DECAY_S
             .iter()
-            .map(|d| (scene.train.par_iter().map(|i| steps(scene, *i, *d).0).sum::<f64>(), *d))
+            .map(|d| (sum_in_order(scene.train.par_iter().map(|i| steps(scene, *i, *d).0)), *d))
             .max_by(|a, b| a.0.total_cmp(&b.0))?;
         if score <= 0.0 {
             return None;

@@ -5,7 +5,9 @@ use std::path::Path;
 use cpcm::gap::effect::Stage;
 use cpcm::gap::verdict::Verdict;
 use cpcm::recording::{Format, read_site, write_site};
-use cpcm::scenario::effects::{FrontRear, HollowWheels, Mount, PadStiffness, Saturation, Tonal};
+use cpcm::scenario::effects::{
+    BiasSteps, FrontRear, HollowWheels, Mount, PadStiffness, Saturation, Tonal, WheelOutOfRoundness,
+};
 use cpcm::scenario::{Effects, read_scenario};
 use cpcm_tests::diagnosed::{among, full, named, quick, recorded, says, trial};
 use cpcm_tests::tolerance;
@@ -159,4 +161,30 @@ fn regress_a_deep_void_is_all_that_is_named() {
     assert!(low < 4.5e-3 && 4.5e-3 < high, "{low} … {high}");
     // Half of the passages a wave from their places left 69 %.
     assert!(found.gap.closed_fraction > tolerance::DEEP_VOID_CLOSED, "{:?}", found.gap);
+}
+
+/// What raises the scatter of the wheels raises the floor with the gap, and passed for none: a gap of 0.91 of the signal, of 0.60, and
+/// clipped recordings.
+#[test]
+fn regress_what_hides_behind_the_floor_is_told() {
+    let mut scenario = trial(22, 23, &["saturation"]);
+    let mut told = |effects: Effects| {
+        scenario.simulation.effects = effects;
+        let found = quick(&recorded(&scenario)).unwrap();
+        (found.verdict, found.stage, found.remarks)
+    };
+    let bias_step = Some(BiasSteps { step_m_s2: 20.0, decay_s: 0.4 });
+    let (verdict, _, remarks) = told(Effects { bias_step, ..Effects::default() });
+    assert!(remarks.iter().any(|r| r.contains("what all bogies share departs")), "{remarks:?}");
+    assert_eq!(verdict, Verdict::Unexplained);
+    let wheel_out_of_roundness = Some(WheelOutOfRoundness { order: 5, amplitude_m: 0.15e-3, share: 0.4 });
+    let (verdict, stage, remarks) = told(Effects { wheel_out_of_roundness, ..Effects::default() });
+    assert!(remarks.iter().any(|r| r.contains("in their own path")), "{remarks:?}");
+    assert_eq!((verdict, stage), (Verdict::Unexplained, Some(Stage::Vehicle)));
+    let saturation = Some(Saturation { range_m_s2: 15.2 });
+    let (verdict, stage, remarks) = told(Effects { saturation, ..Effects::default() });
+    assert!(remarks.iter().any(|r| r.contains("the transducer clips there")), "{remarks:?}");
+    assert_eq!((verdict, stage), (Verdict::Unexplained, Some(Stage::Sensor)));
+    let (verdict, _, remarks) = told(Effects::default());
+    assert_eq!(verdict, Verdict::NoGap, "{remarks:?}");
 }

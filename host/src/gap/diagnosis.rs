@@ -12,6 +12,7 @@ use std::time::Instant;
 use super::GapError;
 use super::base::{Base, PathPrior, base, nominal_world};
 use super::effect::{Effect, Hints, Stage};
+use super::effects::saturation::flat_top_m_s2;
 use super::effects::{COMMON, LATENT};
 use super::fit::{Fit, State};
 use super::hammer::Hammer;
@@ -169,9 +170,10 @@ pub fn diagnose(
     let mut base = base(site, &split.train, &search, &PATH_PRIOR, SensorModel::default())?;
     progress.step();
     let before = base.fit.state.world(&base.frame, &[]);
+    let flat_top_m_s2 = flat_top_m_s2(site);
     let recorder = match options.quick {
         true => Recorder::default(),
-        false => Recorder::of(site, &base.frame, &options.exclude),
+        false => Recorder::of(flat_top_m_s2, &base.frame, &options.exclude),
     };
     // Nothing else can be learnt before what is known of the recorder is in the model.
     let sensor = recorder.sensor();
@@ -179,6 +181,7 @@ pub fn diagnose(
         base = super::base::base(site, &split.train, &search, &PATH_PRIOR, sensor)?;
     }
     let mut session = Session::new(site, options, &split, &search, &mut base);
+    session.clips_at_m_s2 = flat_top_m_s2.map(|(range, _)| range);
     session.take(&recorder);
     let mut searched = !options.quick;
     let spoilt = |session: &Session| sensor.range_m_s2.is_some() && session.misfit() > CLIPPED_MISFIT;
@@ -193,6 +196,12 @@ pub fn diagnose(
     if spoilt(&session) {
         session.remarks.push(
             "the recordings clip so much that nothing else can be told from them; use a sensor with a larger range".into(),
+        );
+        searched = false;
+    }
+    if searched && session.clips_unnamed_at_m_s2().is_some() {
+        session.remarks.push(
+            "clipping is left out of the catalogue: no effect is looked for in recordings that clip".into(),
         );
         searched = false;
     }
@@ -245,6 +254,8 @@ struct Session<'a> {
     foreign_scan: bool,
     /// The recordings or the scan cannot be what they are said to be: no gap of theirs means anything.
     untrusted: bool,
+    /// Range of a transducer that clips, m/s², in the catalogue or not.
+    clips_at_m_s2: Option<f64>,
     /// How far the current model's residual is above the scatter of the wheels (in squares, relative), and that scatter.
     scatter: (f64, f64),
 }
@@ -275,6 +286,7 @@ impl<'a> Session<'a> {
             remarks: Vec::new(),
             foreign_scan: false,
             untrusted: false,
+            clips_at_m_s2: None,
             scatter: (0.0, 0.0),
             base,
         };

@@ -39,9 +39,12 @@ pub struct Variation {
 const MOST_NOISE: f64 = 4.0;
 
 /// Wheels without a defect differ in depth by less than this, relative: the reference recordings have up to 0.08, simulated sites
-/// without effect 0.06, hollow wheels 0.27 and more. A path of their own tells less: wheels that lose contact have 40 to 60 µm,
-/// out-of-round ones from 51 µm on.
+/// without effect 0.06, hollow wheels 0.27 and more.
 const MOST_NATURAL_DEPTH: f64 = 0.15;
+/// And in a path of their own by less than this on the crossing and on the stock side, metres: simulated sites without effect have
+/// up to 19 and 207 µm, reference recordings 45 and 212 µm, wheels that lose contact among them. It tells large flats and waves
+/// only: smaller ones look like the loss of contact.
+const MOST_NATURAL_OWN_M: [f64; 2] = [75e-6, 500e-6];
 
 /// Number of parts.
 const PARTS: usize = 7;
@@ -60,9 +63,20 @@ impl Variation {
     const RANGE: [[f64; 2]; PARTS] =
         [[0.01, 0.15], [1e-3, 0.1], [1e-3, 0.05], [1e-3, 0.3], [1e-3, 0.1], [1e-7, 3e-4], [1e-7, 1e-3]];
 
-    /// Whether wheels differ by more than wheels do by nature.
-    pub fn unnatural(&self) -> bool {
-        self.depth > MOST_NATURAL_DEPTH
+    /// How wheels differ beyond what they do by nature, in words.
+    pub fn unnatural(&self) -> Option<String> {
+        if self.depth > MOST_NATURAL_DEPTH {
+            let percent = 100.0 * self.depth;
+            return Some(format!(
+                "by {percent:.0} % in how deep they run over the crossing: look for hollow and worn ones"
+            ));
+        }
+        let sides = [(self.own_m, Side::Crossing), (self.own_stock_m, Side::Stock)];
+        let (own_m, side) = sides.into_iter().zip(MOST_NATURAL_OWN_M).find(|((own, _), most)| own > most)?.0;
+        let (own_um, side) = (1e6 * own_m, if side == Side::Crossing { "crossing" } else { "stock" });
+        Some(format!(
+            "by {own_um:.0} \u{b5}m in their own path on the {side} rail: look for flats and wheels out of round"
+        ))
     }
 
     /// Whether loads and depths would have to differ by more than they ever do: what wheels do then is not linear in either, and the

@@ -45,7 +45,8 @@ pub fn sentence(d: &Diagnosis) -> String {
             format!("Partly explained by {}; the rest of the gap is not.", names.join(" and "))
         }
         Verdict::Unexplained if closed(&d.gap) => {
-            "The residual is small, but something acts that nothing in the catalogue explains: see the notes."
+            "The gap is hardly larger than what differs from bogie to bogie, but something acts that nothing in the catalogue explains: see \
+             the notes."
                 .into()
         }
         Verdict::Unexplained => "There is a gap that nothing in the catalogue explains.".into(),

@@ -4,7 +4,7 @@
 use faer::Mat;
 
 use super::Session;
-use super::recorder::{clock_by_operator, shows};
+use super::recorder::{SATURATION, clock_by_operator, shows};
 use super::search::APART_SHARE;
 use crate::gap::GapError;
 use crate::gap::data::{Observed, stated_noise_m_s2};
@@ -71,7 +71,8 @@ impl Session<'_> {
                 state.ballast[2]
             ),
         });
-        let others = [self.clock_denial(), self.wheels_denial(), self.unrest_denial()];
+        let recorder = [self.clipping_denial(), self.clock_denial(), self.unrest_denial()];
+        let others = recorder.into_iter().chain([self.wheels_denial(), self.lost_denial()]);
         [path, bed].into_iter().chain(others).flatten().collect()
     }
 
@@ -96,6 +97,22 @@ impl Session<'_> {
         })
     }
 
+    /// Range of a transducer that clips, m/s², where no clipping is named.
+    pub(super) fn clips_unnamed_at_m_s2(&self) -> Option<f64> {
+        self.clips_at_m_s2.filter(|_| self.named.iter().all(|n| n.name != SATURATION))
+    }
+
+    fn clipping_denial(&self) -> Option<Denial> {
+        Some(Denial {
+            stage: Some(Stage::Sensor),
+            remark: format!(
+                "values pile up at \u{b1}{:.1} m/s\u{b2} in most recordings: the transducer clips there, which no effect found accounts \
+                 for; use a sensor with a larger range",
+                self.clips_unnamed_at_m_s2()?
+            ),
+        })
+    }
+
     /// The operator's speeds show a wrong clock beyond chance, and no clock error is named.
     fn clock_denial(&self) -> Option<Denial> {
         let named = self.named.iter().any(|n| n.stage == Stage::Timing);
@@ -113,14 +130,23 @@ impl Session<'_> {
 
     /// Wheels differ more than sound ones do, and nothing is named; where the model is lost, scatter says nothing of wheels.
     fn wheels_denial(&self) -> Option<Denial> {
-        let wheels = &self.base.variation;
-        let unlike = self.named.is_empty() && wheels.unnatural() && !self.base.fit.lost();
-        unlike.then(|| Denial {
+        let sought = self.named.is_empty() && !self.base.fit.lost();
+        let how = sought.then(|| self.base.variation.unnatural()).flatten()?;
+        Some(Denial {
             stage: Some(Stage::Vehicle),
+            remark: format!("wheels differ from one another more than sound wheels do, {how}"),
+        })
+    }
+
+    /// The model is lost, and nothing is named: what differs from bogie to bogie may be as large, and then hides the gap.
+    fn lost_denial(&self) -> Option<Denial> {
+        let misfit = self.base.fit.inflation();
+        (self.named.is_empty() && self.base.fit.lost()).then(|| Denial {
+            stage: None,
             remark: format!(
-                "wheels differ from one another by {:.0} % in how deep they run over the crossing, more than sound wheels do: look for \
-                 hollow and worn ones",
-                100.0 * wheels.depth
+                "what all bogies share departs from the model by {:.1} times what differs from bogie to bogie accounts for: something acts \
+                 that the model does not hold; look at how the sensor is mounted, its cable and its range, and at the panel",
+                misfit.sqrt()
             ),
         })
     }

@@ -4,10 +4,8 @@
 use super::search::PROBABILITY_SCALE;
 use super::{LEAST_GAIN, MOST_SURE, Named, Ranked, Session};
 use crate::gap::effect::{Stage, Witness};
-use crate::gap::effects::saturation::flat_top_m_s2;
 use crate::gap::fit::Frame;
 use crate::gap::world::SensorModel;
-use crate::recording::Site;
 
 /// Operator's speeds are within 1 % (uniform).
 const OPERATOR_SD: f64 = 0.0058;
@@ -16,7 +14,8 @@ const CLOCK_SPREAD: f64 = 4.0;
 /// Half the width of a 90 % interval in standard deviations.
 const NINETY: f64 = 1.645;
 
-const SATURATION: &str = "saturation";
+/// See [`crate::gap::effects::saturation`].
+pub(super) const SATURATION: &str = "saturation";
 const CLOCK_ERROR: &str = "clock-error";
 
 /// What is known of the recorder, of the effects that are in the catalogue.
@@ -29,11 +28,11 @@ pub(super) struct Recorder {
 }
 
 impl Recorder {
-    /// Reads it off flat tops and the operator's speeds, which need no model.
-    pub fn of(site: &Site, frame: &Frame, exclude: &[String]) -> Self {
+    /// Of recordings with or without flat tops, and of the operator's speeds, which need no model.
+    pub fn of(flat_top_m_s2: Option<(f64, f64)>, frame: &Frame, exclude: &[String]) -> Self {
         let left_in = |name: &str| !exclude.iter().any(|e| e == name);
         Self {
-            range_m_s2: flat_top_m_s2(site).filter(|_| left_in(SATURATION)),
+            range_m_s2: flat_top_m_s2.filter(|_| left_in(SATURATION)),
             clock: clock_by_operator(frame).filter(|_| left_in(CLOCK_ERROR)),
         }
     }

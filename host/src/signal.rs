@@ -123,6 +123,18 @@ pub fn dot(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(x, y)| x * y).sum()
 }
 
+/// `values` less their mean and what goes linearly with each of `others` in turn.
+pub fn freed(values: &[f64], others: &[&[f64]]) -> Vec<f64> {
+    let mut out = values.to_vec();
+    centre(&mut out);
+    for (k, other) in others.iter().enumerate() {
+        let along = freed(other, &others[..k]);
+        let slope = dot(&along, &out) / dot(&along, &along).max(f64::MIN_POSITIVE);
+        out.iter_mut().zip(&along).for_each(|(v, a)| *v -= slope * a);
+    }
+    out
+}
+
 /// Sum of values computed side by side, in their order: threads finish as they will, and rounding would tell.
 pub fn sum_in_order(values: impl IndexedParallelIterator<Item = f64>) -> f64 {
     values.collect::<Vec<f64>>().iter().sum()

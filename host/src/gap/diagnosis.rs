@@ -95,6 +95,8 @@ pub struct Diagnosis {
     pub collapse: Option<[f64; 2]>,
     /// How wheels differ where no effect found accounts for it.
     pub wheels: Variation,
+    /// How much deeper trains as a whole run over the crossing, standard deviation, relative; 0 within chance.
+    pub train_depth: f64,
     /// Residual of the held-out passages while stage after stage is substituted.
     pub ladder: Vec<Rung>,
     /// Error that the node's codes, arithmetic and decimation alone make, RMS relative to the signal.

@@ -6,6 +6,7 @@ use super::data::{Observed, RATE_HZ, energies, own_energy};
 use super::fit::Frame;
 use super::forward::Response;
 use super::latent::LatentFit;
+use super::trains::Deeper;
 use super::world::World;
 use crate::passage::random::Random;
 use crate::signal::{irfft, rfft, rfft_frequencies_hz, taper};
@@ -25,6 +26,8 @@ pub struct Prediction {
     pub windows: (Vec<usize>, usize),
     /// Travel of the front axle at the first window sample, metres.
     pub first_m: f64,
+    /// What trains differ by as a whole; nothing until all passages are known ([`tell_apart`](super::trains::tell_apart)).
+    pub deeper: Deeper,
 }
 
 /// High-pass of the double integration, Hz.
@@ -141,11 +144,12 @@ fn compared(
         acceleration: [measured, base, corrected],
         windows,
         first_m: o.first_s * o.speed_m_s,
+        deeper: Deeper::default(),
     }
 }
 
 /// Sums of squares of one passage in one band: measured, base residual, corrected residual, and what differs from bogie to bogie
-/// in the corrected and in the base residual.
+/// and from train to train in the corrected and in the base residual.
 type Squares = [f64; 5];
 
 /// Gap in a band.
@@ -241,7 +245,8 @@ fn ratios(parts: &[[Squares; 2]], pick: &[usize]) -> [f64; 3] {
 fn squares(p: &Prediction, band: Option<usize>) -> [Squares; 2] {
     let limit = p.speed_m_s / SEPARATION_M;
     let range = band.map(|k| [[0.0, limit], [limit, DYNAMIC_HZ], [DYNAMIC_HZ, HIGH_HZ]][k]);
-    [&p.acceleration, &p.displacement].map(|[measured, before, after]| {
+    [0, 1].map(|quantity: usize| {
+        let [measured, before, after] = [&p.acceleration, &p.displacement][quantity];
         let residual =
             |model: &Vec<f64>| -> Vec<f64> { measured.iter().zip(model).map(|(m, p)| m - p).collect() };
         let banded = |v: &[f64]| match range {
@@ -250,7 +255,10 @@ fn squares(p: &Prediction, band: Option<usize>) -> [Squares; 2] {
         };
         let total = |v: &[f64]| v.iter().map(|x| x * x).sum::<f64>();
         let (before, after) = (banded(&residual(before)), banded(&residual(after)));
-        let own = [&after, &before].map(|residual| floor(residual, &p.windows));
+        let deeper = total(&banded(&p.deeper.trace[quantity]));
+        let of_train = p.deeper.square.map(|square| square * deeper);
+        let natural = |residual: &[f64], of_train: f64| (floor(residual, &p.windows) + of_train).max(0.0);
+        let own = [natural(&after, of_train[1]), natural(&before, of_train[0])];
         [total(&banded(measured)), total(&before), total(&after), own[0], own[1]]
     })
 }
@@ -299,7 +307,9 @@ mod tests {
             let displacement = acceleration.each_ref().map(|a| displacement(a));
             let windows = (vec![0, len], len);
             let (passage_id, speed_m_s, first_m) = (1, 40.0, 0.0);
-            let p = Prediction { passage_id, speed_m_s, acceleration, displacement, windows, first_m };
+            let deeper = Deeper::default();
+            let p =
+                Prediction { passage_id, speed_m_s, acceleration, displacement, windows, first_m, deeper };
             measure(&[p], true)
         };
         let (with, without) = (gap(&wrong), gap(&base));

@@ -74,7 +74,7 @@ pub fn diagnosis_json(d: &Diagnosis) -> Value {
     let collapse = d.collapse.map(|[position, time]| json!({"position": position, "time": time}));
     let w = &d.wheels;
     let wheels = json!({"load": w.load, "side_load": w.side_load, "depth": w.depth, "shift_m": w.shift_m,
-                        "irregularity_m": w.own_m});
+                        "irregularity_m": w.own_m, "depth_of_trains": d.train_depth});
     let mut out = json!({
         "verdict": d.verdict,
         "gap": {"before": d.gap.before, "after": d.gap.after, "noise_floor": d.gap.noise_floor,

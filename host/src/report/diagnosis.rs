@@ -167,6 +167,7 @@ fn wheels(d: &Diagnosis) -> String {
         vec!["load".into(), percent(w.load)],
         vec!["load, crossing against stock rail".into(), percent(w.side_load)],
         vec!["depth of the path over the crossing".into(), percent(w.depth)],
+        vec!["the same, trains as a whole".into(), percent(d.train_depth)],
         vec!["place where the crossing is met".into(), format!("{:.0} mm", 1e3 * w.shift_m)],
         vec!["path of their own".into(), format!("{:.0} \u{b5}m", 1e6 * w.own_m)],
     ];

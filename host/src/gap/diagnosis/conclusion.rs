@@ -9,6 +9,7 @@ use crate::gap::hammer::{Agreement, BAND_HZ};
 use crate::gap::ladder::ladder;
 use crate::gap::latent::LatentFit;
 use crate::gap::measure::{Gap, Prediction, measure, predictions};
+use crate::gap::trains::{depth_sd, tell_apart};
 use crate::gap::verdict::{Verdict, verdict};
 use crate::gap::where_;
 use crate::gap::world::World;
@@ -70,6 +71,7 @@ impl Session<'_> {
             position_m,
             collapse: where_::collapse(&residuals),
             wheels: self.base.variation,
+            train_depth: depth_sd(&predicted),
             ladder: ladder(&self.base.frame, &self.split.test, &held_out, has_scan, node_gap)?,
             node_gap,
             predictions: held_out,
@@ -124,10 +126,11 @@ impl Session<'_> {
         let base_responses = simulate(base, &self.base.frame, &all)?;
         let base = (base, base_responses.as_slice());
         loop {
-            let predicted = match self.named.is_empty() {
+            let mut predicted = match self.named.is_empty() {
                 true => predictions(&self.base.frame, base, base, &[]),
                 false => self.corrected(base, &all)?,
             };
+            tell_apart(&mut predicted, &self.base.frame.observed, &self.base.shapes);
             let gap = measure(&self.held_out(&predicted), !self.named.is_empty());
             let Some(last) = self.named.last().filter(|_| gap.closed_fraction_ci90[1] < 0.0) else {
                 return Ok((predicted, gap));

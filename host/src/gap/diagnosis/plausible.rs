@@ -11,7 +11,7 @@ use crate::gap::data::{Observed, stated_noise_m_s2};
 use crate::gap::effect::{Effect, Stage, Witness};
 use crate::gap::fit::{Fit, State, simulate, whitened};
 use crate::gap::forward::{BAND_HZ, Response};
-use crate::signal::{centre, dot, quantile, rms};
+use crate::signal::{centre, dot, freed, quantile, rms};
 use crate::track::Side;
 
 /// Probability that temperatures shuffled among the passages would go with their scale as well, above which a gain does not
@@ -181,18 +181,7 @@ fn before_trains_m_s2(observed: &[Observed]) -> f64 {
 
 /// How often shuffled `x` go with `y` at least as well as `x` do, both freed of what goes with `z`.
 fn chance(y: &[f64], x: &[f64], z: &[f64]) -> f64 {
-    let centred = |v: &[f64]| -> Vec<f64> {
-        let mut out = v.to_vec();
-        centre(&mut out);
-        out
-    };
-    let z = centred(z);
-    let freed = |v: &[f64]| -> Vec<f64> {
-        let v = centred(v);
-        let slope = dot(&v, &z) / dot(&z, &z).max(f64::MIN_POSITIVE);
-        v.iter().zip(&z).map(|(a, b)| a - slope * b).collect()
-    };
-    let (y, mut x) = (freed(y), freed(x));
+    let (y, mut x) = (freed(y, &[z]), freed(x, &[z]));
     let found = dot(&x, &y).abs();
     let mut random = crate::passage::random::Random::new(1, 1);
     let mut as_good = 0;

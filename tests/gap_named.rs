@@ -6,7 +6,7 @@ use cpcm::gap::effect::Stage;
 use cpcm::gap::verdict::Verdict;
 use cpcm::recording::{Format, read_site, write_site};
 use cpcm::scenario::effects::{
-    BiasSteps, FrontRear, HollowWheels, Mount, PadStiffness, Saturation, Tonal, WheelOutOfRoundness,
+    BiasSteps, Factor, FrontRear, HollowWheels, Mount, PadStiffness, Saturation, Tonal, WheelOutOfRoundness,
 };
 use cpcm::scenario::{Effects, read_scenario};
 use cpcm_tests::diagnosed::{among, full, named, quick, recorded, says, trial};
@@ -102,6 +102,19 @@ fn regress_hollow_wheels_that_leave_no_gap_are_told() {
     let found = quick(&site).unwrap();
     assert!(says(&found, "wheels differ"), "{:?}", found.wheels);
     assert_eq!((found.verdict, found.stage), (Verdict::Unexplained, Some(Stage::Vehicle)));
+}
+
+/// Wheels differ as no sound ones do, and yet the evidence for hollow ones was halved as if they might.
+#[test]
+fn regress_hollow_wheels_beside_heavy_ones_are_named() {
+    let mut scenario = trial(24, 27, &["axle-load", "hollow-wheels"]);
+    let axle_load = Some(Factor { factor: 1.594 });
+    let hollow_wheels = Some(HollowWheels { share: 0.3, depth_factor: 1.6, shift_m: 0.02 });
+    scenario.simulation.effects = Effects { axle_load, hollow_wheels, ..Effects::default() };
+    let found = among(&recorded(&scenario), &["axle-load", "hollow-wheels"]);
+    let mut named = named(&found);
+    named.sort_unstable();
+    assert_eq!(named, ["axle-load", "hollow-wheels"], "{:?} {:?}", found.wheels, found.remarks);
 }
 
 /// From the base model, the ringing of a mount looks like bursts of single wheels: a flat was named first and kept.

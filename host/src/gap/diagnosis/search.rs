@@ -288,8 +288,12 @@ impl Session<'_> {
                 && !(of_wheels && f.as_ref().is_some_and(|f| self.shared_by_bogies(f) > MOST_SHARED))
                 && !f.as_ref().is_some_and(everywhere);
             // What a lost model leaves over is no wheel's; elsewhere the mean says nothing of single wheels, and the model nothing
-            // of what shows without trains.
-            let doubt = LATENT_INFLATION * if reference.lost() && !apart { inflation } else { 1.0 };
+            // of what shows without trains. Where wheels differ as no sound ones do, some have a defect.
+            let doubt = match reference.lost() && !apart {
+                true => LATENT_INFLATION * inflation,
+                false if of_wheels && self.base.variation.unnatural().is_some() => 1.0,
+                false => LATENT_INFLATION,
+            };
             let gain = f.as_ref().map_or(0.0, |f| f.gain) / doubt;
             let gain = if full { gain } else { gain.min(0.5 * LEAST_GAIN) };
             Candidate {

@@ -11,6 +11,7 @@ pub use spline::CubicSpline;
 use std::cell::RefCell;
 use std::collections::HashMap;
 use std::sync::Arc;
+use std::thread::LocalKey;
 
 use faer::c64;
 use rayon::iter::IndexedParallelIterator;
@@ -19,10 +20,19 @@ use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
 type Plans<T> = RefCell<HashMap<usize, Arc<T>>>;
 
 thread_local! {
-    /// Plans by length are kept per thread: making one costs more than using it. Each has its own planner, as a planner makes
-    /// another plan, which rounds otherwise, where it can build on one that it has made before.
+    /// Plans by length are kept per thread: making one costs more than using it.
     static FORWARD: Plans<dyn RealToComplex<f64>> = Plans::default();
     static INVERSE: Plans<dyn ComplexToReal<f64>> = Plans::default();
+}
+
+/// Plan for a length. Each has its own planner, as a planner makes another plan, which rounds otherwise, where it can build on one
+/// that it has made before.
+fn planned<T: ?Sized>(
+    plans: &'static LocalKey<Plans<T>>,
+    len: usize,
+    plan: impl FnOnce(&mut RealFftPlanner<f64>, usize) -> Arc<T>,
+) -> Arc<T> {
+    plans.with_borrow_mut(|p| p.entry(len).or_insert_with(|| plan(&mut RealFftPlanner::new(), len)).clone())
 }
 
 /// One-sided spectrum of a real signal (unnormalised forward transform): `n/2 + 1` values.
@@ -30,10 +40,7 @@ pub fn rfft(signal: &[f64]) -> Vec<c64> {
     if signal.is_empty() {
         return Vec::new();
     }
-    let n = signal.len();
-    let plan = FORWARD.with_borrow_mut(|plans| {
-        plans.entry(n).or_insert_with(|| RealFftPlanner::new().plan_fft_forward(n)).clone()
-    });
+    let plan = planned(&FORWARD, signal.len(), RealFftPlanner::plan_fft_forward);
     let mut input = signal.to_vec();
     let mut spectrum = plan.make_output_vec();
     // The lengths come from the plan itself, so the transform cannot refuse them.
@@ -48,9 +55,7 @@ pub fn irfft(spectrum: &[c64], n: usize) -> Vec<f64> {
     if n == 0 {
         return Vec::new();
     }
-    let plan = INVERSE.with_borrow_mut(|plans| {
-        plans.entry(n).or_insert_with(|| RealFftPlanner::new().plan_fft_inverse(n)).clone()
-    });
+    let plan = planned(&INVERSE, n, RealFftPlanner::plan_fft_inverse);
     let mut input = plan.make_input_vec();
     let shared = input.len().min(spectrum.len());
     input[..shared].copy_from_slice(&spectrum[..shared]);

@@ -26,7 +26,7 @@ pub struct Prediction {
     pub windows: (Vec<usize>, usize),
     /// Travel of the front axle at the first window sample, metres.
     pub first_m: f64,
-    /// What trains differ by as a whole; nothing until all passages are known ([`tell_apart`](super::trains::tell_apart)).
+    /// What trains differ by as a whole; nothing where that is chance, and until all passages are known ([`tell_apart`](super::trains::tell_apart)).
     pub deeper: Deeper,
 }
 

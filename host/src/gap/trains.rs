@@ -35,6 +35,9 @@ pub fn tell_apart(predicted: &mut [Prediction], observed: &[Observed], shapes: &
             predicted.iter().zip(&windows).map(|(p, w)| depths(p, model, w)).collect();
         squares_beyond_chance(&depths, &[&speeds, &temperatures])
     });
+    if squares.iter().flatten().all(|square| *square == 0.0) {
+        return;
+    }
     predicted.par_iter_mut().zip(&windows).enumerate().for_each(|(i, (p, window))| {
         let mut acceleration = vec![0.0; p.acceleration[0].len()];
         for start in &p.windows.0 {

@@ -84,7 +84,8 @@ pub(super) struct Drawn {
 }
 
 impl Drawn {
-    /// Draws how much the effect is to change the signal, and finds the level at which it does alone. An effect whose range ends before stays at the end.
+    /// Draws how much the effect is to change the signal, and finds the level at which it does alone. An effect whose range ends before
+    /// stays at the end.
     pub fn new(
         (name, question): (&'static str, Question),
         mut random: Random,

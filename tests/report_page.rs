@@ -6,13 +6,19 @@ use cpcm::report::{self, verification};
 use cpcm::verification::{Case, Curves, Table, Verification};
 use cpcm_tests::sample::sample_analysis;
 
-/// Also leaves the page in the target directory, for a look with a browser.
+/// Leaves a page in the target directory, for a look with a browser. Cargo makes that directory only when it compiles.
+fn leave(name: &str, page: &str) {
+    let directory = Path::new(env!("CARGO_TARGET_TMPDIR"));
+    std::fs::create_dir_all(directory).unwrap();
+    std::fs::write(directory.join(name), page).unwrap();
+}
+
 #[test]
 fn regress_page_is_self_contained_and_reproducible() {
     let analysis = sample_analysis();
     let page = report::html(&analysis).unwrap();
     assert_eq!(page, report::html(&analysis).unwrap());
-    std::fs::write(Path::new(env!("CARGO_TARGET_TMPDIR")).join("report.html"), &page).unwrap();
+    leave("report.html", &page);
     for forbidden in ["<script", "src=", "href=", "@import", "url("] {
         assert!(!page.contains(forbidden), "{forbidden}");
     }
@@ -73,5 +79,5 @@ fn regress_verification_page_shows_failures() {
     assert!(page.contains("shows &amp; why") && verification::table(&result).contains("0.3      0.25 %"));
     assert_eq!(verification::table(&result).matches("FAILED").count(), 1);
     assert!(verification::csv(&result).lines().nth(2).unwrap().ends_with(",0.5,0.01,false"));
-    std::fs::write(Path::new(env!("CARGO_TARGET_TMPDIR")).join("verification.html"), &page).unwrap();
+    leave("verification.html", &page);
 }

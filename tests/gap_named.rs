@@ -117,6 +117,17 @@ fn regress_hollow_wheels_beside_heavy_ones_are_named() {
     assert_eq!(named, ["axle-load", "hollow-wheels"], "{:?} {:?}", found.wheels, found.remarks);
 }
 
+/// Ballast had taken the pads over, as a bed that is none; around it a mount promised more, and pads were not even fitted.
+#[test]
+fn regress_soft_pads_that_ballast_takes_over_are_named() {
+    let mut scenario = trial(24, 129, &["pad-stiffness"]);
+    let truth = 0.2884;
+    scenario.simulation.effects.pad_stiffness = Some(PadStiffness { factor: truth, damping_factor: 1.0 });
+    let found = among(&recorded(&scenario), &["pad-stiffness", "mount-resonance"]);
+    assert_eq!(named(&found), ["pad-stiffness"], "{:?} {:?}", found.verdict, found.remarks);
+    let (_, _, low, high) = found.effects[0].parameters[0];
+    assert!(low < truth && truth < high, "{low} … {high}");
+}
 /// From the base model, the ringing of a mount looks like bursts of single wheels: a flat was named first and kept.
 #[test]
 fn regress_the_ringing_of_a_mount_is_no_flat() {

@@ -56,8 +56,12 @@ pub struct Base {
 
 /// The operator's speed is right within 1 %, the recorder's clock within 4 %.
 const OPERATOR: f64 = 0.05;
-/// The speed of the envelope is right within this, relative; the next maximum of the coherent stack is farther away.
-const ABOUT: f64 = 0.015;
+/// The speed of the envelope is right within half of this, relative (field recordings); the next maximum of the coherent stack is
+/// farther away.
+const ABOUT: f64 = 0.008;
+/// Band of the first scan for a speed, Hz: the envelope has told neighbouring maxima apart, and steps of the baseline have moved speeds
+/// by two percent from 3 Hz on.
+const STACKED_HZ: [f64; 2] = [20.0, 60.0];
 
 /// Wheels hit the crossing within this from x = 0, metres, half a bogie's axle spacing apart from the next choice.
 const ASTRAY_M: f64 = 1.45;
@@ -85,6 +89,7 @@ pub fn observe(site: &Site) -> Result<Vec<Observed>, GapError> {
             let (about, hit_s) = comb(&recording, &pattern, likely)?;
             let search = SpeedSearch {
                 range_m_s: [(1.0 - ABOUT) * about, (1.0 + ABOUT) * about],
+                first_band_hz: STACKED_HZ,
                 ..SpeedSearch::default()
             };
             estimate_speed(&recording, &pattern, search).map(|v| (i, recording, v, hit_s))

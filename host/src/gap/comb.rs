@@ -17,6 +17,9 @@ const SMOOTH_S: f64 = 0.01;
 pub const SPEEDS_M_S: [f64; 2] = [10.0, 80.0];
 /// Relative step of the speed: half a smoothing length over a train of 75 m.
 const STEP: f64 = 2e-3;
+/// The envelope is flat under the wheels: sums this close to the highest, relative, are the top, and its middle the place. Its beginning,
+/// which was taken before, is a slower speed by 0.6 to 1 %.
+const FLAT: f64 = 0.03;
 
 /// Speed (m/s) and time (s) at which the first wheel hits the crossing, such that most of the envelope lies under the axles, among
 /// speeds from `low` to `high`.
@@ -29,19 +32,27 @@ pub fn comb(recording: &Recording, pattern: &AxlePattern, [low, high]: [f64; 2])
     }
     let count = ((high / low).ln() / STEP) as usize;
     let length_m = pattern.offset_m.last().copied().unwrap_or(0.0);
-    let mut best: Option<(f64, f64, f64)> = None;
-    for speed in (0..count).map(|i| low * (i as f64 * STEP).exp()) {
-        let last = envelope.len() as f64 - 1.0 - length_m / speed * RATE_HZ;
-        let at: Vec<usize> =
-            pattern.offset_m.iter().map(|o| (o / speed * RATE_HZ).round() as usize).collect();
-        for start in 0..last.max(0.0) as usize {
-            let sum: f64 = at.iter().filter_map(|k| envelope.get(start + k)).sum();
-            if best.is_none_or(|b| sum > b.0) {
-                best = Some((sum, speed, start as f64 / RATE_HZ));
-            }
-        }
-    }
-    best.map(|(_, speed, start)| (speed, start))
+    let speed_m_s = |i: usize| low * (i as f64 * STEP).exp();
+    let sums = |i: usize| -> Vec<f64> {
+        let last = envelope.len() as f64 - 1.0 - length_m / speed_m_s(i) * RATE_HZ;
+        let under = |axle_m: &f64| (axle_m / speed_m_s(i) * RATE_HZ).round() as usize;
+        let at: Vec<usize> = pattern.offset_m.iter().map(under).collect();
+        let sum = |start: usize| at.iter().filter_map(|k| envelope.get(start + k)).sum();
+        (0..last.max(0.0) as usize).map(sum).collect()
+    };
+    let highest: Vec<f64> = (0..count).map(|i| sums(i).into_iter().fold(0.0, f64::max)).collect();
+    let best = middle_of_top(&highest)?;
+    let start = middle_of_top(&sums(best))?;
+    Some((speed_m_s(best), start as f64 / RATE_HZ))
+}
+
+/// Middle of the stretch around the highest value in which values are nearly as high.
+fn middle_of_top(values: &[f64]) -> Option<usize> {
+    let best = (0..values.len()).max_by(|a, b| values[*a].total_cmp(&values[*b]))?;
+    let least = (1.0 - FLAT) * values[best];
+    let first = values[..best].iter().rposition(|v| *v < least).map_or(0, |i| i + 1);
+    let last = values[best..].iter().position(|v| *v < least).map_or(values.len(), |k| best + k) - 1;
+    Some((first + last) / 2)
 }
 
 /// Smoothed magnitude, held below a few times its mean under the train so that one hard wheel does not decide alone.
@@ -54,4 +65,29 @@ fn envelope(recording: &Recording) -> Vec<f64> {
     let smooth: Vec<f64> = (0..n / 2).map(|k| crate::signal::mean_around(&magnitude, 2 * k, half)).collect();
     let limit = 1.5 * crate::signal::quantile(&smooth, 0.9);
     smooth.iter().map(|v| v.min(limit)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+    use crate::reconstruct::{SpeedSearch, estimate_speed};
+    use crate::recording::read_site;
+
+    /// The speeds of coherent stacking are good to 0.05 % there.
+    #[test]
+    fn reference_envelopes_tell_the_speed_to_half_a_percent() {
+        for name in ["reference-1", "known-saturation"] {
+            let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/data/field");
+            let site = read_site(&root.join(name)).unwrap();
+            let pattern = AxlePattern::of_vehicle(&site.crossing.vehicle);
+            for p in site.passages.iter().take(6) {
+                let recording = Recording::new(p, &site.crossing.sensor);
+                let (found, _) = comb(&recording, &pattern, SPEEDS_M_S).unwrap();
+                let stacked = estimate_speed(&recording, &pattern, SpeedSearch::default()).unwrap();
+                assert!((found / stacked - 1.0).abs() < 5e-3, "{name}: {found} of {stacked}");
+            }
+        }
+    }
 }

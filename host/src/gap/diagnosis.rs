@@ -1,5 +1,6 @@
 //! The diagnosis of a site: base model, search for effects, verdict, and what is left of the gap on held-out passages.
 
+mod afresh;
 mod conclusion;
 mod plausible;
 mod recorder;
@@ -188,8 +189,12 @@ pub fn diagnose(
     let mut searched = !options.quick;
     let spoilt = |session: &Session| sensor.range_m_s2.is_some() && session.misfit() > CLIPPED_MISFIT;
     // Interference can be what spoils the model of clipped recordings, and the likeness of the passages.
-    if spoilt(&session) || (searched && session.mixed()) {
+    if spoilt(&session) || (searched && (session.base.fit.lost() || session.mixed())) {
         session.search_apart()?;
+        if session.was_shifted() {
+            session.start_afresh(site)?;
+            session.search_apart()?;
+        }
     }
     // Then one effect can, where it is worse than clipping alone makes it, and nothing is told from what clipping has destroyed.
     if searched && spoilt(&session) && session.base.fit.lost() {

@@ -65,9 +65,10 @@ pub enum TrialError {
 
 /// Passages of a trial's site.
 const PASSAGES: usize = 16;
-/// Streams of random numbers of one seed: for sites, and for effects.
+/// Streams of random numbers of one seed: for sites, for effects, and for what takes the place of one in a pair.
 const SITE_STREAMS: u64 = 1000;
 const EFFECT_STREAMS: u64 = 1_000_000;
+const PAIR_STREAMS: u64 = 1_000_000_000;
 
 const NOMINAL: &str = include_str!("trial_site.toml");
 
@@ -75,21 +76,19 @@ const NOMINAL: &str = include_str!("trial_site.toml");
 pub fn draw(seed: u64, index: u64, work: &Path) -> Result<Trial, TrialError> {
     let (mut scenario, names) = scenario_of(seed, index, work)?;
     let question = asked(index);
-    let mut answer = Answer {
-        question,
-        effects: names.iter().map(|n| (*n).to_string()).collect(),
-        parameters: Vec::new(),
-        strength: 0.0,
-        alone: Vec::new(),
-    };
+    let mut answer =
+        Answer { question, effects: Vec::new(), parameters: Vec::new(), strength: 0.0, alone: Vec::new() };
     if names.is_empty() {
         return Ok(Trial { site: simulate(&scenario, &Silent)?.site, exclude: None, answer });
     }
     let plain = Plain::of(&scenario)?;
     let stream = |k: usize| Random::new(seed, EFFECT_STREAMS + 2 * index + k as u64);
-    let drawn = names.iter().enumerate().map(|(k, name)| Drawn::new((name, question), stream(k), &plain));
-    let drawn: Vec<Drawn> = drawn.collect::<Result<_, ScenarioError>>()?;
+    let drawn = match question {
+        Question::Pair => told(names, (stream, Random::new(seed, PAIR_STREAMS + index)), &plain)?,
+        _ => vec![Drawn::new((names[0], question), stream(0), &plain)?],
+    };
     for d in &drawn {
+        answer.effects.push(d.name.to_string());
         answer.parameters.push((d.name.to_string(), d.put(&mut scenario.simulation.effects)));
     }
     let site = simulate(&scenario, &Silent)?.site;
@@ -98,7 +97,39 @@ pub fn draw(seed: u64, index: u64, work: &Path) -> Result<Trial, TrialError> {
         [_] => vec![answer.strength],
         several => several.iter().map(|d| d.alone(&plain)).collect::<Result<_, ScenarioError>>()?,
     };
-    Ok(Trial { site, exclude: (question == Question::LeftOut).then(|| names[0]), answer })
+    let exclude = drawn.first().filter(|_| question == Question::LeftOut).map(|d| d.name);
+    Ok(Trial { site, exclude, answer })
+}
+
+/// Two effects that can be told alone: one whose range ends before it changes this site's signal by as much gives way to another.
+fn told(
+    mut names: Vec<&'static str>,
+    (stream, mut random): (impl Fn(usize) -> Random, Random),
+    plain: &Plain,
+) -> Result<Vec<Drawn>, ScenarioError> {
+    let mut drawn = Vec::new();
+    let mut k = 0;
+    while drawn.len() < 2 {
+        if k == names.len() {
+            names.push(another(&names, &mut random));
+        }
+        let effect = Drawn::new((names[k], Question::Pair), stream(drawn.len()), plain)?;
+        if effect.is_told(plain)? {
+            drawn.push(effect);
+        }
+        k += 1;
+    }
+    Ok(drawn)
+}
+
+/// An effect that is not among `names`.
+fn another(names: &[&'static str], random: &mut Random) -> &'static str {
+    loop {
+        let name = DRAWN[(random.unit() * DRAWN.len() as f64) as usize % DRAWN.len()];
+        if !names.contains(&name) {
+            return name;
+        }
+    }
 }
 
 /// What the trial of a number asks.
@@ -111,7 +142,7 @@ fn asked(index: u64) -> Question {
     }
 }
 
-/// The scenario of a trial without its effects, and their names.
+/// The scenario of a trial without its effects, and the names that are drawn for it.
 pub fn scenario_of(seed: u64, index: u64, work: &Path) -> Result<(Scenario, Vec<&'static str>), TrialError> {
     let mut random = Random::new(seed, SITE_STREAMS + index);
     let mut scenario = scenario(&mut random, work)?;
@@ -123,10 +154,7 @@ pub fn scenario_of(seed: u64, index: u64, work: &Path) -> Result<(Scenario, Vec<
     };
     let mut names: Vec<&'static str> = Vec::new();
     while names.len() < count {
-        let name = DRAWN[(random.unit() * DRAWN.len() as f64) as usize % DRAWN.len()];
-        if !names.contains(&name) {
-            names.push(name);
-        }
+        names.push(another(&names, &mut random));
     }
     Ok((scenario, names))
 }

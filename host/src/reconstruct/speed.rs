@@ -17,11 +17,13 @@ pub struct SpeedSearch {
     pub range_m_s: [f64; 2],
     /// Relative step of the first scan.
     pub first_step: f64,
+    /// Its band, Hz: low frequencies have no side maxima, but a baseline that shifts has most of its energy there.
+    pub first_band_hz: [f64; 2],
 }
 
 impl Default for SpeedSearch {
     fn default() -> Self {
-        Self { range_m_s: [8.0, 90.0], first_step: 1e-3 }
+        Self { range_m_s: [8.0, 90.0], first_step: 1e-3, first_band_hz: [3.0, 60.0] }
     }
 }
 
@@ -29,14 +31,13 @@ impl Default for SpeedSearch {
 /// outside the range that the step before has already excluded.
 const REFINEMENTS: [(f64, [f64; 2]); 2] = [(3e-3, [10.0, 120.0]), (1e-3, [20.0, 200.0])];
 const POINTS: usize = 41;
-const FIRST_BAND_HZ: [f64; 2] = [3.0, 60.0];
 
 /// Speed in m/s at which the stacked energy of all axles is largest; `None` when the recording is silent.
 pub fn estimate_speed(recording: &Recording, pattern: &AxlePattern, search: SpeedSearch) -> Option<f64> {
     let [low, high] = search.range_m_s;
     let count = ((high / low).ln() / search.first_step).ceil() as usize;
     let grid: Vec<f64> = (0..=count).map(|i| low * (i as f64 * search.first_step).exp()).collect();
-    let (best, _) = maximum(recording, pattern, &grid, FIRST_BAND_HZ)?;
+    let (best, _) = maximum(recording, pattern, &grid, search.first_band_hz)?;
     let mut speed = grid[best];
     for (half, band) in REFINEMENTS {
         let step = 2.0 * half / (POINTS - 1) as f64;

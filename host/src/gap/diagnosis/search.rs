@@ -6,7 +6,7 @@ use crate::gap::GapError;
 use crate::gap::base::fit_variation;
 use crate::gap::data::{energies, own_energy};
 use crate::gap::effect::{ActsOn, Effect, Stage};
-use crate::gap::fit::{Fit, FitOptions, State, fit, settled, simulate};
+use crate::gap::fit::{Fit, FitOptions, Frame, State, fit, settled, simulate};
 use crate::gap::forward::Response;
 use crate::gap::latent::{Latent, LatentFit, Scene};
 use crate::gap::measure::{self, ALIGN_M};
@@ -35,6 +35,9 @@ const LEAST_GAINED: (f64, f64) = (0.15, 0.2);
 /// An effect of single recordings also counts when it explains this part of the residual's displacement: slow shifts have no
 /// energy worth mentioning in the acceleration.
 const DISPLACEMENT_SHARE: f64 = 0.5;
+/// What explains this part of it, and of whose energy the bogies of a train share no more than this, is as sure as what shows without
+/// trains: no panel does that.
+const ERRATIC: (f64, f64) = (0.9, 0.3);
 /// Least difference in gain by which candidates are told apart.
 const SAME_GAIN: f64 = 4.0;
 /// Wheelsets of a train meet the same rail: their deviations are not as independent as the covariance says.
@@ -171,13 +174,15 @@ impl Session<'_> {
             let astray = lost || reference.state.strained(&self.base.frame);
             astray.then(|| reference.state.on_the_scan())
         };
-        let (mut tried, screening) = round(
-            &self.base.frame,
-            Standing { accepted: &self.accepted, state: &reference.state, from_afar: from_afar.as_ref() },
-            &candidates,
-            &self.hints,
-            self.search,
-        )?;
+        let look = |from_afar: Option<&State>| {
+            let standing = Standing { accepted: &self.accepted, state: &reference.state, from_afar };
+            round(&self.base.frame, standing, &candidates, &self.hints, self.search)
+        };
+        let (mut tried, screening) = look(from_afar.as_ref())?;
+        if !lost && reference.state.odd_bed() {
+            let (afresh, _) = look(Some(&reference.state.on_nominal_ballast()))?;
+            prefer_what_mends(&mut tried, afresh, &self.base.frame);
+        }
         if self.cosines.is_empty() {
             self.cosines = cosines(&screening, &candidates);
         }
@@ -282,7 +287,9 @@ impl Session<'_> {
         let latent = latent.iter().map(|(e, f, moved)| {
             let share = f.as_ref().map_or(0.0, |f| self.share_of(f));
             let of_wheels = e.acts_on() == ActsOn::Wheels;
-            let apart = f.as_ref().is_some_and(|f| f.apart);
+            let erratic =
+                |f: &LatentFit| *moved > ERRATIC.0 && self.shared_by_bogies(f) < ERRATIC.1 && !of_wheels;
+            let apart = f.as_ref().is_some_and(|f| f.apart || erratic(f));
             let least = if apart { APART_SHARE } else { asked(LATENT_SHARE, self.described()) };
             let full = (share > least || *moved > DISPLACEMENT_SHARE)
                 && !(of_wheels && f.as_ref().is_some_and(|f| self.shared_by_bogies(f) > MOST_SHARED))
@@ -527,6 +534,20 @@ impl Session<'_> {
 /// Whether a defect is on so many wheels that it stands in for something that all of them meet.
 fn everywhere(found: &LatentFit) -> bool {
     found.wheel_share.is_some_and(|share| share > MOST_WHEELS)
+}
+
+/// Takes over the fits `afresh` from nominal ballast, where ballast had become a bed that is none, of effects that make it one and
+/// fit better. Others do not count: from there, weak ballast mass passed for soft pads and a dip in the stock rail, on a bed as
+/// odd as before.
+fn prefer_what_mends(tried: &mut [Tried], afresh: Vec<Tried>, frame: &Frame) {
+    let evidence = |t: &Tried| t.fit.as_ref().map_or(f64::NEG_INFINITY, |f| f.log_evidence);
+    for new in afresh {
+        let mends = new.fit.as_ref().is_some_and(|f| f.state.common(frame));
+        let old = tried.iter_mut().find(|t| t.effect.name() == new.effect.name());
+        if let Some(old) = old.filter(|old| mends && evidence(&new) > evidence(old)) {
+            old.fit = new.fit;
+        }
+    }
 }
 
 /// What differs between wheels is no panel's doing, but changes their mean, which an effect of the panel can follow: its gain

@@ -1,17 +1,21 @@
 //! Baseline shifts of the sensor after the shock of a bogie, which decay: charge amplifiers, slipping mounts.
 //!
-//! Size and decay belong to the sensor, sign and exact size to every shock. The residual is compared below 12 Hz, where the
-//! track's own response is smooth and well predicted, with one decaying step per bogie. Large steps drive a model astray, and pass for
-//! wheels that differ from one another; but a baseline that decays behind the train is no train's.
+//! Decay, and where a bogie is when it shocks the sensor, belong to the site; sign and size to every shock. The residual is compared
+//! below 12 Hz, where the track's own response is smooth and well predicted, with one decaying step per bogie; where the steps rise is
+//! told by the whole band. Large steps drive a model astray, and pass for wheels that differ from one another; but a baseline that
+//! decays behind the train is no train's.
 
+use argmin::core::{CostFunction, Executor};
+use argmin::solver::neldermead::NelderMead;
 use faer::Mat;
 use faer::linalg::solvers::Solve as _;
 use rayon::prelude::*;
 
 use crate::gap::data::{QuietEnd, RATE_HZ};
 use crate::gap::effect::Stage;
+use crate::gap::forward::BAND_HZ;
 use crate::gap::latent::{Latent, LatentFit, Scene};
-use crate::signal::{centre, dot, irfft, rfft, rfft_frequencies_hz, sum_in_order, taper};
+use crate::signal::{centre, dot, irfft, mean, quantile, rfft, rfft_frequencies_hz, sum_in_order, taper};
 
 /// See the module.
 pub struct BiasStep;
@@ -20,14 +24,29 @@ pub struct BiasStep;
 const LOW_HZ: [f64; 2] = [8.0, 12.0];
 /// Decay times tried, s: from a bogie's passage to the whole train.
 const DECAY_S: [f64; 8] = [0.05, 0.1, 0.15, 0.25, 0.4, 0.7, 1.2, 2.5];
+/// Where the front axle is when the shock comes, metres of travel: either axle may bring it.
+const AT_M: [f64; 3] = [0.0, 1.3, 2.6];
+/// First steps of the search from there: logarithm of the decay, metres; where it ends.
+const SEARCH: [f64; 2] = [0.2, 0.4];
+const SEARCHED: f64 = 1e-6;
+const MOST_STEPS: u64 = 60;
 /// Cost of a step's size and of the decay, nats.
 const PER_STEP: f64 = 2.0;
 /// Steps show without trains when a baseline that decays behind the train explains this share of what its ends hold, and is this large
 /// there, m/s²: of 23 simulated sites with steps all but the weakest reach 0.55, no other site 0.02, ringing voids and interference
 /// included; recordings without either have less than 0.02 m/s².
 const APART: (f64, f64) = (0.5, 0.05);
-/// The sensor's high pass and the grid of decays leave the mean step this uncertain, relative.
+/// The sensor's high pass and the errors of the model leave the mean step this uncertain, relative; and the decay, as a factor.
 const STEP_ERROR: f64 = 0.08;
+const DECAY_FACTOR: f64 = 1.3;
+
+/// What all steps of a site share.
+#[derive(Clone, Copy, Debug)]
+struct Shock {
+    decay_s: f64,
+    /// Where the front axle of a bogie is, metres of travel behind x = 0.
+    at_m: f64,
+}
 
 impl Latent for BiasStep {
     fn name(&self) -> &'static str {
@@ -39,41 +58,42 @@ impl Latent for BiasStep {
     }
 
     fn explore(&self, scene: &Scene) -> Option<LatentFit> {
-        let (score, decay_s) = DECAY_S
-            .iter()
-            .map(|d| (sum_in_order(scene.train.par_iter().map(|i| steps(scene, *i, *d).0)), *d))
-            .max_by(|a, b| a.0.total_cmp(&b.0))?;
+        let edge = Edge::new();
+        let (score, shock) = coarse(scene, &edge)?;
         if score <= 0.0 {
             return None;
         }
-        let fits: Vec<(f64, Vec<f64>)> =
-            (0..scene.observed.len()).into_par_iter().map(|i| steps(scene, i, decay_s)).collect();
-        let sizes: Vec<f64> = scene.train.iter().flat_map(|i| fits[*i].1.iter().map(|s| s.abs())).collect();
-        let step = crate::signal::quantile(&sizes, 0.5);
-        let spread = crate::signal::quantile(&sizes, 0.75) - crate::signal::quantile(&sizes, 0.25);
-        let half = (1.3 * spread / (sizes.len() as f64).sqrt()).max(0.05 * step);
+        let shock = refined(scene, &edge, shock);
+        let score = score_of(scene, &edge, shock);
+        let fits: Vec<Steps> =
+            (0..scene.observed.len()).into_par_iter().map(|i| steps(scene, i, &edge, shock)).collect();
+        let learnt: Vec<f64> =
+            scene.train.iter().flat_map(|i| fits[*i].sizes.iter().map(|s| s.abs())).collect();
+        let step = quantile(&learnt, 0.5);
+        let spread = quantile(&learnt, 0.75) - quantile(&learnt, 0.25);
+        let half = (1.3 * spread / (learnt.len() as f64).sqrt()).max(0.05 * step);
         let traces: Vec<Vec<f64>> = (0..scene.observed.len())
             .map(|i| {
                 let n = scene.traces[i].residual.len();
-                let mut out = vec![0.0; n];
-                for (column, size) in columns(scene, i, decay_s).iter().zip(&fits[i].1) {
+                let mut out = vec![fits[i].level; n];
+                for (column, size) in columns(scene, i, &edge, shock).iter().zip(&fits[i].sizes) {
                     out.iter_mut().zip(column).for_each(|(o, c)| *o += size * c);
                 }
                 out
             })
             .collect();
+        let decay_s = shock.decay_s;
         let behind: Vec<(f64, f64)> =
             scene.train.iter().map(|i| decaying(&scene.observed[*i].quiet_ends(), decay_s)).collect();
-        let typical = |of: fn(&(f64, f64)) -> f64| {
-            crate::signal::quantile(&behind.iter().map(of).collect::<Vec<_>>(), 0.5)
-        };
+        let typical = |of: fn(&(f64, f64)) -> f64| quantile(&behind.iter().map(of).collect::<Vec<_>>(), 0.5);
         Some(LatentFit {
             apart: typical(|b| b.0) > APART.0 && typical(|b| b.1.abs()) > APART.1,
             gain: score,
             parameters: vec![
                 ("step_m_s2", step, step - half - STEP_ERROR * step, step + half + STEP_ERROR * step),
-                ("decay_s", decay_s, decay_s / 1.6, decay_s * 1.6),
+                ("decay_s", decay_s, decay_s / DECAY_FACTOR, decay_s * DECAY_FACTOR),
             ],
+            decay_s: Some(decay_s),
             wheel_share: None,
             windows: scene.cut(&traces),
             traces,
@@ -81,20 +101,108 @@ impl Latent for BiasStep {
     }
 }
 
+/// Gain and shock of the best of those that are tried.
+fn coarse(scene: &Scene, edge: &Edge) -> Option<(f64, Shock)> {
+    DECAY_S
+        .iter()
+        .flat_map(|decay_s| AT_M.map(|at_m| Shock { decay_s: *decay_s, at_m }))
+        .map(|shock| (score_of(scene, edge, shock), shock))
+        .max_by(|a, b| a.0.total_cmp(&b.0))
+}
+
+/// Gain in log evidence over the training passages.
+fn score_of(scene: &Scene, edge: &Edge, shock: Shock) -> f64 {
+    sum_in_order(scene.train.par_iter().map(|i| steps(scene, *i, edge, shock).gain))
+}
+
+/// What steps of the logarithm of the decay and of the place leave of the residual in the whole band.
+struct Rest<'a, 's> {
+    scene: &'a Scene<'s>,
+    edge: &'a Edge,
+}
+
+impl CostFunction for Rest<'_, '_> {
+    type Param = Vec<f64>;
+    type Output = f64;
+
+    fn cost(&self, p: &Vec<f64>) -> Result<f64, argmin::core::Error> {
+        let shock = Shock { decay_s: p[0].exp(), at_m: p[1] };
+        let scene = self.scene;
+        Ok(sum_in_order(scene.train.par_iter().map(|i| {
+            let y = &scene.traces[*i].residual;
+            let all = columns(scene, *i, self.edge, shock);
+            least_squares(all, y).map_or(f64::INFINITY, |(left, ..)| left)
+        })))
+    }
+}
+
+/// The shock that leaves least of the residual, from one near it.
+fn refined(scene: &Scene, edge: &Edge, from: Shock) -> Shock {
+    let start = vec![from.decay_s.ln(), from.at_m];
+    let mut simplex = vec![start; 3];
+    (0..2).for_each(|k| simplex[k + 1][k] += SEARCH[k]);
+    let solver = NelderMead::new(simplex).with_sd_tolerance(SEARCHED);
+    let found = solver
+        .and_then(|s| {
+            Executor::new(Rest { scene, edge }, s).configure(|state| state.max_iters(MOST_STEPS)).run()
+        })
+        .ok()
+        .and_then(|result| result.state.best_param);
+    let Some(best) = found else { return from };
+    let decay_s = best[0].exp().clamp(0.5 * DECAY_S[0], 2.0 * DECAY_S[7]);
+    Shock { decay_s, at_m: best[1].clamp(-2.0, 5.0) }
+}
+
+/// A unit step that ends where the band of the recordings does.
+struct Edge {
+    /// Rise above one half, from the middle on, every [`Self::STEP_S`].
+    rise: Vec<f64>,
+}
+
+impl Edge {
+    const STEP_S: f64 = 1e-4;
+    /// Until then its waves have died down.
+    const LONGEST_S: f64 = 0.06;
+
+    fn new() -> Self {
+        let count = (Self::LONGEST_S / Self::STEP_S) as usize + 2;
+        let lines = BAND_HZ[1] as usize;
+        let rise = (0..count).map(|k| {
+            let t = k as f64 * Self::STEP_S;
+            let line = |i: usize| {
+                let f = i as f64 + 0.5;
+                let phase = std::f64::consts::TAU * f * t;
+                taper(f, BAND_HZ[0], BAND_HZ[1]) * phase.sin() / (std::f64::consts::PI * f)
+            };
+            (0..lines).map(line).sum::<f64>()
+        });
+        Self { rise: rise.collect() }
+    }
+
+    /// Value a time after the step.
+    fn at(&self, t_s: f64) -> f64 {
+        let p = t_s.abs() / Self::STEP_S;
+        let i = p as usize;
+        let rise = match self.rise.get(i..i + 2) {
+            Some(r) => r[0] + p.fract() * (r[1] - r[0]),
+            None => 0.5,
+        };
+        if t_s < 0.0 { 0.5 - rise } else { 0.5 + rise }
+    }
+}
+
 /// Unit steps at the bogies of a passage.
-fn columns(scene: &Scene, passage: usize, decay_s: f64) -> Vec<Vec<f64>> {
+fn columns(scene: &Scene, passage: usize, edge: &Edge, shock: Shock) -> Vec<Vec<f64>> {
     let o = &scene.observed[passage];
-    let direction = scene.world.crossing.traffic_direction.sign();
-    let sensor_s = direction * scene.world.crossing.track.crossing_sleeper_x_m / o.speed_m_s;
     let trace = &scene.traces[passage];
     o.bogie_s()
         .iter()
         .map(|b| {
-            let at = o.first_axle_s + b + sensor_s - trace.start_s;
+            let at = o.first_axle_s + b + shock.at_m / o.speed_m_s - trace.start_s;
             (0..trace.residual.len())
                 .map(|k| {
                     let t = k as f64 / RATE_HZ - at;
-                    if t < 0.0 { 0.0 } else { (-t / decay_s).exp() }
+                    edge.at(t) * (-t.max(0.0) / shock.decay_s).exp()
                 })
                 .collect()
         })
@@ -123,26 +231,39 @@ fn low(values: &[f64]) -> Vec<f64> {
     irfft(&spectrum, n)
 }
 
-/// Gain in log evidence (BIC) and sizes of the steps of one passage.
-fn steps(scene: &Scene, passage: usize, decay_s: f64) -> (f64, Vec<f64>) {
+/// Steps of one passage.
+struct Steps {
+    /// In log evidence (BIC).
+    gain: f64,
+    /// m/s², one per bogie.
+    sizes: Vec<f64>,
+    /// Level before the train, m/s²: what decays behind it has passed for the recorder's bias.
+    level: f64,
+}
+
+fn steps(scene: &Scene, passage: usize, edge: &Edge, shock: Shock) -> Steps {
     let y = low(&scene.traces[passage].residual);
-    let n = y.len();
-    let mut all: Vec<Vec<f64>> = columns(scene, passage, decay_s).iter().map(|c| low(c)).collect();
+    let all: Vec<Vec<f64>> = columns(scene, passage, edge, shock).iter().map(|c| low(c)).collect();
     let count = all.len();
-    all.push(vec![1.0; n]);
-    let x = Mat::from_fn(n, all.len(), |k, c| all[c][k]);
-    let right = Mat::from_fn(n, 1, |k, _| y[k]);
-    let gram = x.transpose() * &x;
-    let Ok(factor) = gram.llt(faer::Side::Lower) else { return (f64::NEG_INFINITY, vec![0.0; count]) };
-    let solved = factor.solve(x.transpose() * &right);
-    let left = &right - &x * &solved;
-    let squares = |m: &Mat<f64>| m.col_as_slice(0).iter().map(|v| v * v).sum::<f64>();
-    let mean = crate::signal::mean(&y);
-    let before: f64 = y.iter().map(|v| (v - mean).powi(2)).sum();
-    let independent = n as f64 * 2.0 * LOW_HZ[1] / RATE_HZ;
-    let ratio = (before / squares(&left).max(1e-12)).ln();
-    let gain = 0.5 * independent * ratio - PER_STEP * count as f64;
-    (gain, (0..count).map(|c| solved[(c, 0)]).collect())
+    let Some((left, sizes, level)) = least_squares(all, &y) else {
+        return Steps { gain: f64::NEG_INFINITY, sizes: vec![0.0; count], level: 0.0 };
+    };
+    let middle = mean(&y);
+    let before: f64 = y.iter().map(|v| (v - middle).powi(2)).sum();
+    let independent = y.len() as f64 * 2.0 * LOW_HZ[1] / RATE_HZ;
+    let ratio = (before / left.max(1e-12)).ln();
+    Steps { gain: 0.5 * independent * ratio - PER_STEP * count as f64, sizes, level }
+}
+
+/// Squares that columns and a level leave of a signal, the sizes of the columns, and the level.
+fn least_squares(mut columns: Vec<Vec<f64>>, y: &[f64]) -> Option<(f64, Vec<f64>, f64)> {
+    let count = columns.len();
+    columns.push(vec![1.0; y.len()]);
+    let gram = Mat::from_fn(count + 1, count + 1, |i, j| dot(&columns[i], &columns[j]));
+    let right = Mat::from_fn(count + 1, 1, |i, _| dot(&columns[i], y));
+    let solved = gram.llt(faer::Side::Lower).ok()?.solve(&right);
+    let explained: f64 = (0..=count).map(|i| solved[(i, 0)] * right[(i, 0)]).sum();
+    Some((dot(y, y) - explained, (0..count).map(|c| solved[(c, 0)]).collect(), solved[(count, 0)]))
 }
 
 #[cfg(test)]

@@ -102,6 +102,7 @@ impl Latent for HollowWheels {
             apart: false,
             gain,
             parameters: two.parameters(learnt.len(), &shown),
+            decay_s: None,
             wheel_share: Some(two.share),
             traces: scene.spread(&windows),
             windows,

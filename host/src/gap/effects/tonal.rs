@@ -183,6 +183,7 @@ impl Latent for Tonal {
                 ("frequency_hz", frequency, likely[0], likely[1]),
                 ("amplitude_m_s2", amplitude, amplitude - 1.645 * sd, amplitude + 1.645 * sd),
             ],
+            decay_s: None,
             wheel_share: None,
             windows: scene.cut(&traces),
             traces,

@@ -108,6 +108,7 @@ impl Latent for WheelFlat {
                 ),
                 ("share", share, share * 0.7, (share * 1.3).min(1.0)),
             ],
+            decay_s: None,
             wheel_share: Some(share),
             traces: scene.spread(&windows),
             windows,

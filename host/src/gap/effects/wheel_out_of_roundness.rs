@@ -107,6 +107,7 @@ impl Latent for WheelOutOfRoundness {
                 ),
                 ("share", share, share * 0.7, (share * 1.3).min(1.0)),
             ],
+            decay_s: None,
             wheel_share: Some(share),
             windows,
             traces,

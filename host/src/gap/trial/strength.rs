@@ -42,6 +42,8 @@ const TOLD: (f64, f64) = (0.25, 2.0);
 const CLOCK_ERROR: &str = "clock-error";
 /// Halvings of the range of an effect in search of a strength.
 const HALVINGS: usize = 6;
+/// How far the strength of a level found by them may be below the one that is wanted.
+const SHORT: f64 = 0.9;
 
 /// Passages that tell how strong an effect is.
 const STRENGTH_PASSAGES: usize = 3;
@@ -110,6 +112,11 @@ impl Drawn {
         let mut scenario = plain.scenario.clone();
         self.put(&mut scenario.simulation.effects);
         Ok(plain.changed_by(&simulate(&scenario, &Silent)?.site))
+    }
+
+    /// Whether it changes the signal by enough to be told alone.
+    pub fn is_told(&self, plain: &Plain) -> Result<bool, ScenarioError> {
+        Ok(self.alone(plain)? > SHORT * TOLD.0)
     }
 
     /// Puts it into a scenario's effects; its main parameter.

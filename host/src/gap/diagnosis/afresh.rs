@@ -1,0 +1,73 @@
+//! A base model of recordings from which the steps of their baseline are taken.
+//!
+//! Steps of several times the signal drive everything astray that is read before they are known: speeds, axle times, ballast. No fit
+//! leads back from there, so that all of it is done again without them.
+
+use super::{PATH_PRIOR, Session};
+use crate::gap::GapError;
+use crate::gap::base::base;
+use crate::gap::data::{Observed, RATE_HZ};
+use crate::recording::Site;
+
+impl Session<'_> {
+    /// Whether what shifts the baseline is in the model. Where that does not leave the model lost, wheels seem to differ as none do.
+    pub(super) fn was_shifted(&self) -> bool {
+        self.latent_fits.iter().any(|(_, f)| f.decay_s.is_some())
+    }
+
+    /// Reads the recordings and fits the base model again, without what was found of single recordings, which is to be looked for again.
+    pub(super) fn start_afresh(&mut self, site: &Site) -> Result<(), GapError> {
+        let sensor = self.base.frame.base.sensor;
+        let mut fresh =
+            base(&self.without_latent(site), &self.split.train, self.search, &PATH_PRIOR, sensor)?;
+        let before = &self.base.frame.observed;
+        if fresh.frame.observed.len() != before.len() {
+            return Ok(());
+        }
+        let window = fresh.window_m;
+        for (new, old) in fresh.frame.observed.iter_mut().zip(before) {
+            new.recording = old.recording.clone();
+            new.cut(window);
+        }
+        *self.base = fresh;
+        for (effect, _) in std::mem::take(&mut self.latent_fits) {
+            self.taken_back(effect.name());
+        }
+        Ok(())
+    }
+
+    /// The site without what effects of wheels or recordings add.
+    fn without_latent(&self, site: &Site) -> Site {
+        let mut clean = site.clone();
+        for (i, o) in self.base.frame.observed.iter().enumerate() {
+            for p in clean.passages.iter_mut().filter(|p| p.passage_id == o.passage_id) {
+                for (_, found) in &self.latent_fits {
+                    take_off(
+                        &mut p.acceleration_m_s2,
+                        p.sample_rate_hz,
+                        o,
+                        (&found.traces[i], found.decay_s),
+                    );
+                }
+            }
+        }
+        clean
+    }
+}
+
+/// Takes a trace, and what decays behind it, off a recording.
+fn take_off(samples: &mut [f32], rate_hz: f64, o: &Observed, (trace, decay_s): (&[f64], Option<f64>)) {
+    let (start_s, last) = (o.trace().0, trace.len().saturating_sub(1));
+    for (k, sample) in samples.iter_mut().enumerate() {
+        let p = (k as f64 / rate_hz - start_s) * RATE_HZ;
+        let i = p.max(0.0) as usize;
+        let value = match (trace.get(i..i + 2), decay_s) {
+            (Some(v), _) if p >= 0.0 => v[0] + p.fract() * (v[1] - v[0]),
+            (None, Some(decay_s)) if last > 0 => {
+                trace[last] * (-(p - last as f64) / (RATE_HZ * decay_s)).exp()
+            }
+            _ => 0.0,
+        };
+        *sample -= value as f32;
+    }
+}

@@ -15,11 +15,10 @@ impl Session<'_> {
         self.latent_fits.iter().any(|(_, f)| f.decay_s.is_some())
     }
 
-    /// Reads the recordings and fits the base model again, without what was found of single recordings, which is to be looked for again.
+    /// Reads the recordings and fits the base model again, without the steps found, which are to be looked for again.
     pub(super) fn start_afresh(&mut self, site: &Site) -> Result<(), GapError> {
         let sensor = self.base.frame.base.sensor;
-        let mut fresh =
-            base(&self.without_latent(site), &self.split.train, self.search, &PATH_PRIOR, sensor)?;
+        let mut fresh = base(&self.without_steps(site), &self.split.train, self.search, &PATH_PRIOR, sensor)?;
         let before = &self.base.frame.observed;
         if fresh.frame.observed.len() != before.len() {
             return Ok(());
@@ -36,8 +35,8 @@ impl Session<'_> {
         Ok(())
     }
 
-    /// The site without what effects of wheels or recordings add.
-    fn without_latent(&self, site: &Site) -> Site {
+    /// The site without the steps of its baseline.
+    fn without_steps(&self, site: &Site) -> Site {
         let mut clean = site.clone();
         for (i, o) in self.base.frame.observed.iter().enumerate() {
             for p in clean.passages.iter_mut().filter(|p| p.passage_id == o.passage_id) {
@@ -55,18 +54,16 @@ impl Session<'_> {
     }
 }
 
-/// Takes a trace, and what decays behind it, off a recording.
+/// Takes a trace off a recording, its first value off what is before, and what decays behind it.
 fn take_off(samples: &mut [f32], rate_hz: f64, o: &Observed, (trace, decay_s): (&[f64], Option<f64>)) {
-    let (start_s, last) = (o.trace().0, trace.len().saturating_sub(1));
+    let ([first, .., last], Some(decay_s)) = (trace, decay_s) else { return };
+    let (start_s, end) = (o.trace().0, (trace.len() - 1) as f64);
     for (k, sample) in samples.iter_mut().enumerate() {
         let p = (k as f64 / rate_hz - start_s) * RATE_HZ;
-        let i = p.max(0.0) as usize;
-        let value = match (trace.get(i..i + 2), decay_s) {
-            (Some(v), _) if p >= 0.0 => v[0] + p.fract() * (v[1] - v[0]),
-            (None, Some(decay_s)) if last > 0 => {
-                trace[last] * (-(p - last as f64) / (RATE_HZ * decay_s)).exp()
-            }
-            _ => 0.0,
+        let value = match trace.get(p.max(0.0) as usize..p.max(0.0) as usize + 2) {
+            Some(v) if p >= 0.0 => v[0] + p.fract() * (v[1] - v[0]),
+            Some(_) => *first,
+            None => first + (last - first) * (-(p - end) / (RATE_HZ * decay_s)).exp(),
         };
         *sample -= value as f32;
     }

@@ -292,4 +292,17 @@ mod tests {
         let (share, found) = decaying(&ends(0.0, 0.3), 0.3);
         assert!(share < APART.0 && found.abs() < APART.1, "{share} {found}");
     }
+
+    #[test]
+    fn analytic_a_step_that_ends_with_the_band() {
+        let edge = Edge::new();
+        assert!((edge.at(0.0) - 0.5).abs() < 1e-12);
+        // The slope in the middle is twice the area under the taper: 250 Hz and half of 50 Hz.
+        let slope = (edge.at(2e-4) - edge.at(-2e-4)) / 4e-4;
+        assert!((slope / (2.0 * 275.0) - 1.0).abs() < 0.01, "{slope}");
+        // Si(pi)/pi - 1/2 = 0.0895 for a sharp end of the band; a tapered one rings less.
+        let most = (0..600).map(|k| edge.at(f64::from(k) * 1e-4)).fold(0.0, f64::max) - 1.0;
+        assert!(0.05 < most && most < 0.0895, "{most}");
+        assert!((edge.at(0.05) - 1.0).abs() < 1e-3 && edge.at(-0.05).abs() < 1e-3);
+    }
 }

@@ -48,8 +48,8 @@ pub(super) const PROBABILITY_SCALE: f64 = 4.0;
 /// Gain in log posterior per independent look, nats, with which an effect counts although it takes nothing off the residual,
 /// because the path had taken it over: the first one named, and further ones. Reference recordings reach 180.
 const RELIEVED: (f64, f64) = (250.0, 400.0);
-/// Largest part of the energy of an effect of single wheels that all bogies of a train may share: as much as half of the
-/// wheels give.
+/// Largest part of the energy of an effect of single wheels, or of shocks, that all bogies of a train may share: as much as half of
+/// the wheels give.
 const MOST_SHARED: f64 = 0.65;
 
 /// Part of what a model misses beyond its covariance that an effect takes away when it is there, though clipping leaves more than it
@@ -296,7 +296,10 @@ impl Session<'_> {
             let apart = f.as_ref().is_some_and(|f| f.apart || erratic(f));
             let least = if apart { APART_SHARE } else { asked(LATENT_SHARE, self.described()) };
             let full = (share > least || *moved > DISPLACEMENT_SHARE)
-                && !(of_wheels && f.as_ref().is_some_and(|f| self.shared_by_bogies(f) > MOST_SHARED))
+                && !f.as_ref().is_some_and(|f| {
+                    let of_each = of_wheels || (f.decay_s.is_some() && !apart);
+                    of_each && self.shared_by_bogies(f) > MOST_SHARED
+                })
                 && !f.as_ref().is_some_and(everywhere);
             // What a lost model leaves over is no wheel's; elsewhere the mean says nothing of single wheels, and the model nothing
             // of what shows without trains. Where wheels differ as no sound ones do, some have a defect.

@@ -64,6 +64,10 @@ impl Latent for BiasStep {
             return None;
         }
         let shock = refined(scene, &edge, shock);
+        if !(DECAY_S[0]..=DECAY_S[7]).contains(&shock.decay_s) {
+            // What is over before the bogie has passed is its own doing, what outlasts trains the recorder's bias.
+            return None;
+        }
         let score = score_of(scene, &edge, shock);
         let fits: Vec<Steps> =
             (0..scene.observed.len()).into_par_iter().map(|i| steps(scene, i, &edge, shock)).collect();
@@ -148,9 +152,7 @@ fn refined(scene: &Scene, edge: &Edge, from: Shock) -> Shock {
         })
         .ok()
         .and_then(|result| result.state.best_param);
-    let Some(best) = found else { return from };
-    let decay_s = best[0].exp().clamp(0.5 * DECAY_S[0], 2.0 * DECAY_S[7]);
-    Shock { decay_s, at_m: best[1].clamp(-2.0, 5.0) }
+    found.map_or(from, |best| Shock { decay_s: best[0].exp(), at_m: best[1] })
 }
 
 /// A unit step that ends where the band of the recordings does.

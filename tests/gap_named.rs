@@ -128,6 +128,7 @@ fn regress_soft_pads_that_ballast_takes_over_are_named() {
     let (_, _, low, high) = found.effects[0].parameters[0];
     assert!(low < truth && truth < high, "{low} … {high}");
 }
+
 /// From the base model, the ringing of a mount looks like bursts of single wheels: a flat was named first and kept.
 #[test]
 fn regress_the_ringing_of_a_mount_is_no_flat() {

@@ -145,6 +145,12 @@ pub fn sum_in_order(values: impl IndexedParallelIterator<Item = f64>) -> f64 {
     values.collect::<Vec<f64>>().iter().sum()
 }
 
+/// Value on the straight line between two samples, at a place counted in samples; `None` outside.
+pub fn between(values: &[f64], place: f64) -> Option<f64> {
+    let pair = if place < 0.0 { None } else { values.get(place as usize..)?.get(..2) };
+    pair.map(|v| v[0] + place.fract() * (v[1] - v[0]))
+}
+
 /// Mean of the values within `half` samples of `at` on either side, as far as there are any.
 pub fn mean_around(values: &[f64], at: usize, half: usize) -> f64 {
     mean(&values[at.saturating_sub(half)..(at + half + 1).min(values.len())])

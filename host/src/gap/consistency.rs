@@ -3,7 +3,7 @@
 use faer::Mat;
 
 use super::data::{Observed, RATE_HZ};
-use crate::signal::dot;
+use crate::signal::{between, dot};
 
 /// Passages that do not resemble the others.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -61,11 +61,7 @@ fn window_along(o: &Observed) -> Vec<f64> {
     (0..count)
         .map(|i| {
             let t = (TRAVEL_M.0 + i as f64 * TRAVEL_M.2) / o.speed_m_s - o.first_s;
-            let p = t * RATE_HZ;
-            match o.mean.get(p.max(0.0) as usize..p.max(0.0) as usize + 2) {
-                Some(v) if p >= 0.0 => v[0] + p.fract() * (v[1] - v[0]),
-                _ => 0.0,
-            }
+            between(&o.mean, t * RATE_HZ).unwrap_or(0.0)
         })
         .collect()
 }

@@ -154,9 +154,14 @@ impl Observed {
     /// [`RATE_HZ`].
     pub fn trace(&self) -> (f64, Vec<f64>) {
         let last = self.bogie_m.last().copied().unwrap_or(0.0);
-        let start_s = self.first_axle_s - CLEAR_M / self.speed_m_s;
+        let start_s = self.trace_start_s();
         let n = ((last + 3.0 + 2.0 * CLEAR_M) / self.speed_m_s * RATE_HZ).ceil() as usize;
         (start_s, self.recording.window(start_s, RATE_HZ, n, BAND_HZ))
+    }
+
+    /// Recorder time of the first value of [`Self::trace`], s.
+    pub fn trace_start_s(&self) -> f64 {
+        self.first_axle_s - CLEAR_M / self.speed_m_s
     }
 
     /// Takes known contributions off the windows.

@@ -39,6 +39,8 @@ pub struct Standing<'a, 'e> {
     /// State from which every candidate is scouted, where the model is so far off that its derivatives say little of what
     /// would mend it.
     pub from_afar: Option<&'a State>,
+    /// State from which every candidate is scouted as well, where the model agrees with the recordings only as no track is.
+    pub afresh: Option<&'a State>,
 }
 
 /// Screens and fits candidates on top of what is accepted.
@@ -49,7 +51,7 @@ pub fn round<'e>(
     hints: &Hints,
     subset: &[usize],
 ) -> Result<(Vec<Tried<'e>>, Screening), GapError> {
-    let Standing { accepted, state, from_afar } = standing;
+    let Standing { accepted, state, from_afar, afresh } = standing;
     let screening = screen(frame, (accepted, state), candidates, hints, subset)?;
     let mut order: Vec<(usize, f64, usize)> = (0..candidates.len())
         .map(|e| {
@@ -60,7 +62,7 @@ pub fn round<'e>(
     order.sort_by(|a, b| b.1.total_cmp(&a.1));
     let with =
         |e: usize| -> Vec<&'e dyn Effect> { accepted.iter().copied().chain([candidates[e]]).collect() };
-    let fits = if let Some(afar) = from_afar {
+    let mut fits = if let Some(afar) = from_afar {
         fits_from_afar(frame, afar, &order, &with, hints, subset)
     } else {
         let largest = order.first().map_or(0.0, |o| o.1);
@@ -75,12 +77,26 @@ pub fn round<'e>(
             })
             .collect()
     };
+    if let Some(afresh) = afresh {
+        prefer_what_mends(&mut fits, fits_from_afar(frame, afresh, &order, &with, hints, subset), frame);
+    }
     let tried = order
         .into_iter()
         .zip(fits)
         .map(|((e, screened, _), fit)| Tried { effect: candidates[e], screened, fit })
         .collect();
     Ok((tried, screening))
+}
+
+/// Takes over the fits `afresh` of effects that make a track as most are, and fit better. Others do not count: from nominal ballast,
+/// weak ballast mass passed for soft pads and a dip in the stock rail, on a bed as odd as before.
+fn prefer_what_mends(fits: &mut [Option<Fit>], afresh: Vec<Option<Fit>>, frame: &Frame) {
+    for (old, new) in fits.iter_mut().zip(afresh) {
+        let better = |new: &Fit| old.as_ref().is_none_or(|old| new.log_evidence > old.log_evidence);
+        if let Some(new) = new.filter(|new| new.state.common(frame) && better(new)) {
+            *old = Some(new);
+        }
+    }
 }
 
 /// Fits in the order of `order`: every candidate is scouted from all its starts, and the most promising are fitted; the best of

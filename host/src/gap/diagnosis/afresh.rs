@@ -7,7 +7,8 @@ use super::{PATH_PRIOR, Session};
 use crate::gap::GapError;
 use crate::gap::base::base;
 use crate::gap::data::{Observed, RATE_HZ};
-use crate::recording::Site;
+use crate::recording::{Passage, Site};
+use crate::signal::between;
 
 impl Session<'_> {
     /// Whether what shifts the baseline is in the model. Where that does not leave the model lost, wheels seem to differ as none do.
@@ -41,12 +42,9 @@ impl Session<'_> {
         for (i, o) in self.base.frame.observed.iter().enumerate() {
             for p in clean.passages.iter_mut().filter(|p| p.passage_id == o.passage_id) {
                 for (_, found) in &self.latent_fits {
-                    take_off(
-                        &mut p.acceleration_m_s2,
-                        p.sample_rate_hz,
-                        o,
-                        (&found.traces[i], found.decay_s),
-                    );
+                    if let Some(decay_s) = found.decay_s {
+                        take_off(p, o, (&found.traces[i], decay_s));
+                    }
                 }
             }
         }
@@ -55,14 +53,14 @@ impl Session<'_> {
 }
 
 /// Takes a trace off a recording, its first value off what is before, and what decays behind it.
-fn take_off(samples: &mut [f32], rate_hz: f64, o: &Observed, (trace, decay_s): (&[f64], Option<f64>)) {
-    let ([first, .., last], Some(decay_s)) = (trace, decay_s) else { return };
-    let (start_s, end) = (o.trace().0, (trace.len() - 1) as f64);
-    for (k, sample) in samples.iter_mut().enumerate() {
-        let p = (k as f64 / rate_hz - start_s) * RATE_HZ;
-        let value = match trace.get(p.max(0.0) as usize..p.max(0.0) as usize + 2) {
-            Some(v) if p >= 0.0 => v[0] + p.fract() * (v[1] - v[0]),
-            Some(_) => *first,
+fn take_off(passage: &mut Passage, o: &Observed, (trace, decay_s): (&[f64], f64)) {
+    let [first, .., last] = trace else { return };
+    let (start_s, end) = (o.trace_start_s(), (trace.len() - 1) as f64);
+    for (k, sample) in passage.acceleration_m_s2.iter_mut().enumerate() {
+        let p = (k as f64 / passage.sample_rate_hz - start_s) * RATE_HZ;
+        let value = match between(trace, p) {
+            Some(value) => value,
+            None if p < 0.0 => *first,
             None => first + (last - first) * (-(p - end) / (RATE_HZ * decay_s)).exp(),
         };
         *sample -= value as f32;

@@ -4,8 +4,8 @@
 use faer::Mat;
 
 use super::Session;
+use super::candidates::APART_SHARE;
 use super::recorder::{SATURATION, clock_by_operator, shows};
-use super::search::APART_SHARE;
 use crate::gap::GapError;
 use crate::gap::data::{Observed, stated_noise_m_s2};
 use crate::gap::effect::{Effect, Stage, Witness};

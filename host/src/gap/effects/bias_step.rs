@@ -15,7 +15,9 @@ use crate::gap::data::{QuietEnd, RATE_HZ};
 use crate::gap::effect::Stage;
 use crate::gap::forward::BAND_HZ;
 use crate::gap::latent::{Latent, LatentFit, Scene};
-use crate::signal::{centre, dot, irfft, mean, quantile, rfft, rfft_frequencies_hz, sum_in_order, taper};
+use crate::signal::{
+    between, centre, dot, irfft, mean, quantile, rfft, rfft_frequencies_hz, sum_in_order, taper,
+};
 
 /// See the module.
 pub struct BiasStep;
@@ -58,19 +60,19 @@ impl Latent for BiasStep {
     }
 
     fn explore(&self, scene: &Scene) -> Option<LatentFit> {
-        let edge = Edge::new();
-        let (score, shock) = coarse(scene, &edge)?;
+        let comparison = Comparison::new(scene);
+        let (score, shock) = comparison.coarse()?;
         if score <= 0.0 {
             return None;
         }
-        let shock = refined(scene, &edge, shock);
+        let shock = comparison.refined(shock);
         if !(DECAY_S[0]..=DECAY_S[7]).contains(&shock.decay_s) {
             // What is over before the bogie has passed is its own doing, what outlasts trains the recorder's bias.
             return None;
         }
-        let score = score_of(scene, &edge, shock);
+        let score = comparison.score(shock);
         let fits: Vec<Steps> =
-            (0..scene.observed.len()).into_par_iter().map(|i| steps(scene, i, &edge, shock)).collect();
+            (0..scene.observed.len()).into_par_iter().map(|i| comparison.steps(i, shock)).collect();
         let learnt: Vec<f64> =
             scene.train.iter().flat_map(|i| fits[*i].sizes.iter().map(|s| s.abs())).collect();
         let step = quantile(&learnt, 0.5);
@@ -80,7 +82,7 @@ impl Latent for BiasStep {
             .map(|i| {
                 let n = scene.traces[i].residual.len();
                 let mut out = vec![fits[i].level; n];
-                for (column, size) in columns(scene, i, &edge, shock).iter().zip(&fits[i].sizes) {
+                for (column, size) in comparison.columns(i, shock).iter().zip(&fits[i].sizes) {
                     out.iter_mut().zip(column).for_each(|(o, c)| *o += size * c);
                 }
                 out
@@ -105,54 +107,93 @@ impl Latent for BiasStep {
     }
 }
 
-/// Gain and shock of the best of those that are tried.
-fn coarse(scene: &Scene, edge: &Edge) -> Option<(f64, Shock)> {
-    DECAY_S
-        .iter()
-        .flat_map(|decay_s| AT_M.map(|at_m| Shock { decay_s: *decay_s, at_m }))
-        .map(|shock| (score_of(scene, edge, shock), shock))
-        .max_by(|a, b| a.0.total_cmp(&b.0))
+/// What shocks are compared with.
+struct Comparison<'a, 's> {
+    scene: &'a Scene<'s>,
+    edge: Edge,
+    /// Residuals of the passages in the low band.
+    low: Vec<Vec<f64>>,
 }
 
-/// Gain in log evidence over the training passages.
-fn score_of(scene: &Scene, edge: &Edge, shock: Shock) -> f64 {
-    sum_in_order(scene.train.par_iter().map(|i| steps(scene, *i, edge, shock).gain))
+impl<'a, 's> Comparison<'a, 's> {
+    fn new(scene: &'a Scene<'s>) -> Self {
+        let low = scene.traces.par_iter().map(|t| low(&t.residual)).collect();
+        Self { scene, edge: Edge::new(), low }
+    }
+
+    /// Gain and shock of the best of those that are tried.
+    fn coarse(&self) -> Option<(f64, Shock)> {
+        DECAY_S
+            .iter()
+            .flat_map(|decay_s| AT_M.map(|at_m| Shock { decay_s: *decay_s, at_m }))
+            .map(|shock| (self.score(shock), shock))
+            .max_by(|a, b| a.0.total_cmp(&b.0))
+    }
+
+    /// The shock that leaves least of the residual, from one near it.
+    fn refined(&self, from: Shock) -> Shock {
+        let start = vec![from.decay_s.ln(), from.at_m];
+        let mut simplex = vec![start; 3];
+        (0..2).for_each(|k| simplex[k + 1][k] += SEARCH[k]);
+        let solver = NelderMead::new(simplex).with_sd_tolerance(SEARCHED);
+        let found = solver
+            .and_then(|s| Executor::new(self, s).configure(|state| state.max_iters(MOST_STEPS)).run())
+            .ok()
+            .and_then(|result| result.state.best_param);
+        found.map_or(from, |best| Shock { decay_s: best[0].exp(), at_m: best[1] })
+    }
+
+    /// Gain in log evidence over the training passages.
+    fn score(&self, shock: Shock) -> f64 {
+        sum_in_order(self.scene.train.par_iter().map(|i| self.steps(*i, shock).gain))
+    }
+
+    /// Steps of one passage.
+    fn steps(&self, passage: usize, shock: Shock) -> Steps {
+        let y = &self.low[passage];
+        let all: Vec<Vec<f64>> = self.columns(passage, shock).iter().map(|c| low(c)).collect();
+        let count = all.len();
+        let Some((left, sizes, level)) = least_squares(all, y) else {
+            return Steps { gain: f64::NEG_INFINITY, sizes: vec![0.0; count], level: 0.0 };
+        };
+        let middle = mean(y);
+        let before: f64 = y.iter().map(|v| (v - middle).powi(2)).sum();
+        let independent = y.len() as f64 * 2.0 * LOW_HZ[1] / RATE_HZ;
+        let ratio = (before / left.max(1e-12)).ln();
+        Steps { gain: 0.5 * independent * ratio - PER_STEP * count as f64, sizes, level }
+    }
+
+    /// Unit steps at the bogies of a passage.
+    fn columns(&self, passage: usize, shock: Shock) -> Vec<Vec<f64>> {
+        let o = &self.scene.observed[passage];
+        let trace = &self.scene.traces[passage];
+        o.bogie_s()
+            .iter()
+            .map(|b| {
+                let at = o.first_axle_s + b + shock.at_m / o.speed_m_s - trace.start_s;
+                (0..trace.residual.len())
+                    .map(|k| {
+                        let t = k as f64 / RATE_HZ - at;
+                        self.edge.at(t) * (-t.max(0.0) / shock.decay_s).exp()
+                    })
+                    .collect()
+            })
+            .collect()
+    }
 }
 
 /// What steps of the logarithm of the decay and of the place leave of the residual in the whole band.
-struct Rest<'a, 's> {
-    scene: &'a Scene<'s>,
-    edge: &'a Edge,
-}
-
-impl CostFunction for Rest<'_, '_> {
+impl CostFunction for &Comparison<'_, '_> {
     type Param = Vec<f64>;
     type Output = f64;
 
     fn cost(&self, p: &Vec<f64>) -> Result<f64, argmin::core::Error> {
         let shock = Shock { decay_s: p[0].exp(), at_m: p[1] };
-        let scene = self.scene;
-        Ok(sum_in_order(scene.train.par_iter().map(|i| {
-            let y = &scene.traces[*i].residual;
-            let all = columns(scene, *i, self.edge, shock);
-            least_squares(all, y).map_or(f64::INFINITY, |(left, ..)| left)
+        Ok(sum_in_order(self.scene.train.par_iter().map(|i| {
+            let left = least_squares(self.columns(*i, shock), &self.scene.traces[*i].residual);
+            left.map_or(f64::INFINITY, |(left, ..)| left)
         })))
     }
-}
-
-/// The shock that leaves least of the residual, from one near it.
-fn refined(scene: &Scene, edge: &Edge, from: Shock) -> Shock {
-    let start = vec![from.decay_s.ln(), from.at_m];
-    let mut simplex = vec![start; 3];
-    (0..2).for_each(|k| simplex[k + 1][k] += SEARCH[k]);
-    let solver = NelderMead::new(simplex).with_sd_tolerance(SEARCHED);
-    let found = solver
-        .and_then(|s| {
-            Executor::new(Rest { scene, edge }, s).configure(|state| state.max_iters(MOST_STEPS)).run()
-        })
-        .ok()
-        .and_then(|result| result.state.best_param);
-    found.map_or(from, |best| Shock { decay_s: best[0].exp(), at_m: best[1] })
 }
 
 /// A unit step that ends where the band of the recordings does.
@@ -183,32 +224,9 @@ impl Edge {
 
     /// Value a time after the step.
     fn at(&self, t_s: f64) -> f64 {
-        let p = t_s.abs() / Self::STEP_S;
-        let i = p as usize;
-        let rise = match self.rise.get(i..i + 2) {
-            Some(r) => r[0] + p.fract() * (r[1] - r[0]),
-            None => 0.5,
-        };
+        let rise = between(&self.rise, t_s.abs() / Self::STEP_S).unwrap_or(0.5);
         if t_s < 0.0 { 0.5 - rise } else { 0.5 + rise }
     }
-}
-
-/// Unit steps at the bogies of a passage.
-fn columns(scene: &Scene, passage: usize, edge: &Edge, shock: Shock) -> Vec<Vec<f64>> {
-    let o = &scene.observed[passage];
-    let trace = &scene.traces[passage];
-    o.bogie_s()
-        .iter()
-        .map(|b| {
-            let at = o.first_axle_s + b + shock.at_m / o.speed_m_s - trace.start_s;
-            (0..trace.residual.len())
-                .map(|k| {
-                    let t = k as f64 / RATE_HZ - at;
-                    edge.at(t) * (-t.max(0.0) / shock.decay_s).exp()
-                })
-                .collect()
-        })
-        .collect()
 }
 
 /// Share of the energy of the train-free ends, about their mean, that a baseline explains which is level before the train and decays
@@ -235,26 +253,12 @@ fn low(values: &[f64]) -> Vec<f64> {
 
 /// Steps of one passage.
 struct Steps {
-    /// In log evidence (BIC).
+    /// Gain in log evidence (BIC).
     gain: f64,
     /// m/s², one per bogie.
     sizes: Vec<f64>,
     /// Level before the train, m/s²: what decays behind it has passed for the recorder's bias.
     level: f64,
-}
-
-fn steps(scene: &Scene, passage: usize, edge: &Edge, shock: Shock) -> Steps {
-    let y = low(&scene.traces[passage].residual);
-    let all: Vec<Vec<f64>> = columns(scene, passage, edge, shock).iter().map(|c| low(c)).collect();
-    let count = all.len();
-    let Some((left, sizes, level)) = least_squares(all, &y) else {
-        return Steps { gain: f64::NEG_INFINITY, sizes: vec![0.0; count], level: 0.0 };
-    };
-    let middle = mean(&y);
-    let before: f64 = y.iter().map(|v| (v - middle).powi(2)).sum();
-    let independent = y.len() as f64 * 2.0 * LOW_HZ[1] / RATE_HZ;
-    let ratio = (before / left.max(1e-12)).ln();
-    Steps { gain: 0.5 * independent * ratio - PER_STEP * count as f64, sizes, level }
 }
 
 /// Squares that columns and a level leave of a signal, the sizes of the columns, and the level.

@@ -1,0 +1,215 @@
+//! What was tried in a round, as candidates: what counts for them, and against them.
+
+use super::plausible::{inside_ranges, large_enough};
+use super::{LEAST_GAIN, Session};
+use crate::gap::GapError;
+use crate::gap::data::energies;
+use crate::gap::effect::{ActsOn, Effect, Stage};
+use crate::gap::fit::{Fit, State};
+use crate::gap::latent::{Latent, LatentFit};
+use crate::gap::select::Tried;
+
+/// Share of the misfit (weighted squares) that an effect must explain: 0.023 on reference-1, between 0.025 and 0.03 for the
+/// weakest known effect.
+const LEAST_SHARE: f64 = 0.025;
+/// How far the base model must be above the scatter of the wheels, in quadrature, for an effect of the panel to be looked
+/// for. One reference recording, at 0.09, has nothing to explain, but a structured error with a high gain; the weakest
+/// known effect is at 0.21.
+const LEAST_EXCESS: f64 = 0.15;
+/// Energy of an effect of single wheels or recordings relative to their scatter: the first one, and further ones. Less is asked of
+/// what is heard while no train is near, which no scatter can pass for.
+const LATENT_SHARE: (f64, f64) = (0.1, 0.15);
+pub(super) const APART_SHARE: f64 = 0.01;
+/// Factor by which further effects must gain more than the first one.
+const FURTHER: f64 = 1.25;
+/// An effect of single recordings also counts when it explains this part of the residual's displacement: slow shifts have no
+/// energy worth mentioning in the acceleration.
+const DISPLACEMENT_SHARE: f64 = 0.5;
+/// What explains this part of it, and of whose energy the bogies of a train share no more than this, is as sure as what shows without
+/// trains: no panel does that.
+const ERRATIC: (f64, f64) = (0.9, 0.3);
+/// Least difference in gain by which candidates are told apart.
+const SAME_GAIN: f64 = 4.0;
+/// Wheelsets of a train meet the same rail: their deviations are not as independent as the covariance says.
+const LATENT_INFLATION: f64 = 2.0;
+/// Gain in log posterior per independent look, nats, with which an effect counts although it takes nothing off the residual,
+/// because the path had taken it over: the first one named, and further ones. Reference recordings reach 180.
+pub(super) const RELIEVED: (f64, f64) = (250.0, 400.0);
+/// Largest part of the energy of an effect of single wheels, or of shocks, that all bogies of a train may share: as much as half of
+/// the wheels give.
+const MOST_SHARED: f64 = 0.65;
+/// Share of the wheels above which a defect is no single wheels': flats on 95 of 100 wheels, the end of the range, were what a
+/// fit over voids made of their scatter.
+const MOST_WHEELS: f64 = 0.9;
+
+/// A latent effect, what it found, and the part of the displacement's residual that this explains.
+pub(super) type Explored = (&'static dyn Latent, Option<LatentFit>, f64);
+
+/// One candidate of a round.
+pub(super) struct Candidate {
+    pub(super) name: &'static str,
+    pub(super) stage: Stage,
+    pub(super) gain: f64,
+    misfit_gain: f64,
+    /// The same per independent look.
+    pub(super) relief: f64,
+    /// Makes a model plausible that agrees with the recordings only as no track is.
+    pub(super) mends: bool,
+    pub(super) full: bool,
+    pub(super) acts_on: ActsOn,
+    /// Shows while no train is near.
+    pub(super) apart: bool,
+}
+
+impl Session<'_> {
+    /// Whether an effect explains enough to be named on top of `described` others.
+    pub(super) fn worth_naming(&self, c: &Candidate, described: usize, misfit: f64) -> bool {
+        // A model as good as the scatter of the wheels has nothing to explain, unless the gain comes from elsewhere.
+        let excess = self.scatter.0.max(0.0).sqrt();
+        let room = excess > LEAST_EXCESS || c.relief > asked(RELIEVED, described) || c.mends;
+        // What the first effect's description leaves must not be taken for a second one.
+        let least_gain = asked((LEAST_GAIN, FURTHER * LEAST_GAIN), described);
+        c.full && room && c.gain > least_gain && 2.0 * c.misfit_gain > LEAST_SHARE * misfit
+    }
+
+    pub(super) fn candidates(
+        &self,
+        tried: &[Tried<'static>],
+        reference: &Fit,
+        latent: &[Explored],
+    ) -> Result<Vec<Candidate>, GapError> {
+        // The best fit of the round tells how much of the misfit is left to chance.
+        let inflation = tried
+            .iter()
+            .filter_map(|t| t.fit.as_ref())
+            .map(Fit::inflation)
+            .fold(reference.inflation(), f64::min);
+        let heard = self.heard(tried, reference)?;
+        let astray = reference.state.implausible(&self.base.frame);
+        let common = tried.iter().zip(heard).map(|(t, heard)| {
+            let (gain, full) = match &t.fit {
+                // A strength at the end of its range is no strength but a fit that found no other way.
+                Some(f) => (
+                    f.log_evidence - reference.log_evidence,
+                    inside_ranges(t.effect, f)
+                        && large_enough(t.effect, f, self.accepted.len(), inflation)
+                        && self.borne_out(t.effect)
+                        // What the hammer denies as firmly as an effect must show itself is not there.
+                        && heard > -LEAST_GAIN,
+                ),
+                None => (t.screened.min(LEAST_GAIN), false),
+            };
+            let misfit_gain = t.fit.as_ref().map_or(0.0, |f| f.log_posterior - reference.log_posterior);
+            Candidate {
+                name: t.effect.name(),
+                stage: t.effect.stage(),
+                gain: gain / inflation + heard,
+                misfit_gain,
+                relief: misfit_gain / inflation + heard,
+                mends: astray && t.fit.as_ref().is_some_and(|f| f.state.common(&self.base.frame)),
+                full,
+                acts_on: ActsOn::Panel,
+                apart: false,
+            }
+        });
+        let latent = latent.iter().map(|(e, f, moved)| {
+            let share = f.as_ref().map_or(0.0, |f| self.share_of(f));
+            let shared = f.as_ref().map_or(0.0, |f| self.shared_by_bogies(f));
+            let of_wheels = e.acts_on() == ActsOn::Wheels;
+            let decays = f.as_ref().is_some_and(|f| f.decay_s.is_some());
+            let erratic = !of_wheels && *moved > ERRATIC.0 && shared < ERRATIC.1;
+            let apart = erratic || f.as_ref().is_some_and(|f| f.apart);
+            let least = if apart { APART_SHARE } else { asked(LATENT_SHARE, self.described()) };
+            let of_each = of_wheels || (decays && !apart);
+            let full = (share > least || *moved > DISPLACEMENT_SHARE)
+                && !(of_each && shared > MOST_SHARED)
+                && !f.as_ref().is_some_and(everywhere);
+            // What a lost model leaves over is no wheel's; elsewhere the mean says nothing of single wheels, and the model nothing
+            // of what shows without trains. Where wheels differ as no sound ones do, some have a defect.
+            let doubt = match reference.lost() && !apart {
+                true => LATENT_INFLATION * inflation,
+                false if of_wheels && self.base.variation.unnatural().is_some() => 1.0,
+                false => LATENT_INFLATION,
+            };
+            let gain = f.as_ref().map_or(0.0, |f| f.gain) / doubt;
+            let gain = if full { gain } else { gain.min(0.5 * LEAST_GAIN) };
+            Candidate {
+                name: e.name(),
+                stage: e.stage(),
+                gain,
+                misfit_gain: f64::INFINITY,
+                relief: f64::INFINITY,
+                mends: false,
+                full,
+                acts_on: e.acts_on(),
+                apart,
+            }
+        });
+        Ok(common.chain(latent).collect())
+    }
+
+    /// Gain of every fit in the log likelihood of the measured receptance; nought without one.
+    fn heard(&self, tried: &[Tried<'static>], reference: &Fit) -> Result<Vec<f64>, GapError> {
+        let Some(hammer) = self.hammer else { return Ok(vec![0.0; tried.len()]) };
+        let of = |state: &State, effects: &[&'static dyn Effect]| {
+            hammer.log_likelihood(&state.world(&self.base.frame, effects))
+        };
+        let before = of(&reference.state, &self.accepted)?;
+        tried
+            .iter()
+            .map(|t| {
+                let Some(fit) = &t.fit else { return Ok(0.0) };
+                Ok(of(&fit.state, &[self.accepted.as_slice(), &[t.effect]].concat())? - before)
+            })
+            .collect()
+    }
+
+    /// Energy that an effect adds to the windows, relative to that of the wheels' scatter and of the noise.
+    fn share_of(&self, found: &LatentFit) -> f64 {
+        let sum = |w: &Vec<Vec<f64>>| w.iter().flatten().map(|v| v * v).sum::<f64>();
+        let own: f64 = self.split.train.iter().map(|i| sum(&found.windows[*i])).sum();
+        own / self.scatter.1.max(f64::MIN_POSITIVE)
+    }
+
+    /// Part of the energy that an effect adds to the windows which is the same for all bogies of a train: no single wheel's.
+    fn shared_by_bogies(&self, found: &LatentFit) -> f64 {
+        let parts = self.split.train.iter().map(|i| energies(&found.windows[*i]));
+        let (all, shared) = parts.fold((0.0, 0.0), |(a, s), (all, shared)| (a + all, s + shared));
+        shared / all.max(f64::MIN_POSITIVE)
+    }
+}
+
+/// Whether a defect is on so many wheels that it stands in for something that all of them meet.
+fn everywhere(found: &LatentFit) -> bool {
+    found.wheel_share.is_some_and(|share| share > MOST_WHEELS)
+}
+
+/// What differs between wheels is no panel's doing, but changes their mean, which an effect of the panel can follow: its gain
+/// says nothing until the wheels are in the model.
+pub(super) fn put_wheels_first(list: &mut [Candidate]) {
+    put_first(list, |c| c.acts_on == ActsOn::Wheels, |c| c.acts_on == ActsOn::Panel);
+}
+
+/// What shows without trains needs no model, and spoils every fit as long as it is in the windows.
+pub(super) fn put_apart_first(list: &mut [Candidate]) {
+    put_first(list, |c| c.apart, |c| !c.apart);
+}
+
+/// Lowers the gains of `later` candidates clearly below the best of those that come `first` and qualify.
+fn put_first(list: &mut [Candidate], first: fn(&Candidate) -> bool, later: fn(&Candidate) -> bool) {
+    let qualifies = |c: &&Candidate| c.full && c.gain > LEAST_GAIN && first(c);
+    let Some(best) = list.iter().filter(qualifies).map(|c| c.gain).max_by(f64::total_cmp) else { return };
+    for c in list.iter_mut().filter(|c| later(c)) {
+        c.gain = c.gain.min(best - 2.0 * same_gain(best));
+    }
+}
+
+/// Candidates whose gains are within this of the best are not told apart.
+pub(super) fn same_gain(best: f64) -> f64 {
+    SAME_GAIN + 0.01 * best
+}
+
+/// What is asked of the first effect, or of one on top of `described` others.
+pub(super) fn asked((first, further): (f64, f64), described: usize) -> f64 {
+    if described == 0 { first } else { further }
+}

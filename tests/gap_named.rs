@@ -117,6 +117,17 @@ fn regress_hollow_wheels_beside_heavy_ones_are_named() {
     assert_eq!(named, ["axle-load", "hollow-wheels"], "{:?} {:?}", found.wheels, found.remarks);
 }
 
+/// Over soft pads the wheels of both groups differ so much that hollow ones passed for the ends of one wide spread.
+#[test]
+fn regress_hollow_wheels_over_soft_pads_are_named() {
+    let mut scenario = trial(501, 327, &["pad-stiffness", "hollow-wheels"]);
+    let pad_stiffness = Some(PadStiffness { factor: 0.2884, damping_factor: 1.0 });
+    let hollow_wheels = Some(HollowWheels { share: 0.35, depth_factor: 1.47, shift_m: 0.01 });
+    scenario.simulation.effects = Effects { pad_stiffness, hollow_wheels, ..Effects::default() };
+    let found = among(&recorded(&scenario), &["pad-stiffness", "hollow-wheels"]);
+    assert_eq!(named(&found), ["pad-stiffness", "hollow-wheels"], "{:?} {:?}", found.wheels, found.remarks);
+}
+
 /// Ballast had taken the pads over, as a bed that is none; around it a mount promised more, and pads were not even fitted.
 #[test]
 fn regress_soft_pads_that_ballast_takes_over_are_named() {

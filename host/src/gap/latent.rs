@@ -62,6 +62,8 @@ pub struct LatentFit {
     pub apart: bool,
     /// Share of the wheels that have it; none for an effect of the recordings.
     pub wheel_share: Option<f64>,
+    /// Whether all of them show the same.
+    pub alike: bool,
     /// Time in which what it adds decays behind the trains, s, where it does.
     pub decay_s: Option<f64>,
     /// What it adds to every window: passage, bogie.

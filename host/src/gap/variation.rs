@@ -40,7 +40,7 @@ const MOST_NOISE: f64 = 4.0;
 
 /// Wheels without a defect differ in depth by less than this, relative: the reference recordings have up to 0.08, simulated sites
 /// without effect 0.06, hollow wheels 0.27 and more.
-const MOST_NATURAL_DEPTH: f64 = 0.15;
+pub const MOST_NATURAL_DEPTH: f64 = 0.12;
 /// And in a path of their own by less than this on the crossing and on the stock side, metres: simulated sites without effect have
 /// up to 19 and 207 µm, reference recordings 45 and 212 µm, wheels that lose contact among them. It tells large flats and waves
 /// only: smaller ones look like the loss of contact.

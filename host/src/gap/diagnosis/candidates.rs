@@ -124,13 +124,12 @@ impl Session<'_> {
             let full = (share > least || *moved > DISPLACEMENT_SHARE)
                 && !(of_each && shared > MOST_SHARED)
                 && !f.as_ref().is_some_and(everywhere);
+            // Where wheels differ as no sound ones do, some have a defect.
+            let defective = of_wheels && self.base.variation.unnatural().is_some();
+            let dependent = if defective { 1.0 } else { LATENT_INFLATION };
             // What a lost model leaves over is no wheel's; elsewhere the mean says nothing of single wheels, and the model nothing
-            // of what shows without trains. Where wheels differ as no sound ones do, some have a defect.
-            let doubt = match reference.lost() && !apart {
-                true => LATENT_INFLATION * inflation,
-                false if of_wheels && self.base.variation.unnatural().is_some() => 1.0,
-                false => LATENT_INFLATION,
-            };
+            // of what shows without trains.
+            let doubt = if reference.lost() && !apart { dependent * inflation } else { dependent };
             let gain = f.as_ref().map_or(0.0, |f| f.gain) / doubt;
             let gain = if full { gain } else { gain.min(0.5 * LEAST_GAIN) };
             Candidate {
@@ -171,11 +170,13 @@ impl Session<'_> {
         own / self.scatter.1.max(f64::MIN_POSITIVE)
     }
 
-    /// Part of the energy that an effect adds to the windows which is the same for all bogies of a train: no single wheel's.
+    /// Part of the energy that an effect adds to the windows which is the same for all bogies of a train, beyond what chance gives where
+    /// its wheels are alike: no single wheel's.
     fn shared_by_bogies(&self, found: &LatentFit) -> f64 {
         let parts = self.split.train.iter().map(|i| energies(&found.windows[*i]));
         let (all, shared) = parts.fold((0.0, 0.0), |(a, s), (all, shared)| (a + all, s + shared));
-        shared / all.max(f64::MIN_POSITIVE)
+        let chance = found.wheel_share.filter(|_| found.alike).unwrap_or(0.0);
+        (shared / all.max(f64::MIN_POSITIVE) - chance) / (1.0 - chance).max(f64::MIN_POSITIVE)
     }
 }
 

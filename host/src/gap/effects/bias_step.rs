@@ -101,6 +101,7 @@ impl Latent for BiasStep {
             ],
             decay_s: Some(decay_s),
             wheel_share: None,
+            alike: false,
             windows: scene.cut(&traces),
             traces,
         })

@@ -14,7 +14,7 @@ use crate::gap::effect::Stage;
 use crate::gap::fit::whitened;
 use crate::gap::forward::Simulator;
 use crate::gap::latent::{Latent, LatentFit, Scene};
-use crate::gap::variation::Variation;
+use crate::gap::variation::{MOST_NATURAL_DEPTH, Variation};
 
 /// See the module.
 pub struct HollowWheels;
@@ -75,23 +75,16 @@ impl Latent for HollowWheels {
         if learnt.len() < 24 {
             return None;
         }
-        let plain = Mixture::one(&learnt);
-        let wide = Mixture::scales(&plain, &learnt);
-        let two = Mixture::groups(&plain, &learnt)?;
-        let score = two.score(&learnt);
-        if score - wide.score(&learnt) < CHOICE + GROUPED {
-            return None;
-        }
-        let gain = score - plain.score(&learnt) - CHOICE;
+        let (gain, two) = grouped(&learnt)?;
         let windows: Vec<Vec<Vec<f64>>> = (0..scene.observed.len())
             .map(|i| {
                 let mut list = vec![vec![0.0; scene.observed[i].mean.len()]; scene.residuals[i].len()];
                 for o in all.iter().filter(|o| o.passage == i) {
-                    let second = two.second(o);
-                    let mean = |k: usize| second * two.mean[1][k] + (1.0 - second) * two.mean[0][k];
+                    // What natural wheels show as well is the path's.
+                    let off = |k: usize| two.second(o) * (two.mean[1][k] - two.mean[0][k]);
                     let columns = plain_columns(scene, i, o.axle);
                     for (k, value) in list[o.bogie].iter_mut().enumerate() {
-                        *value += mean(0) * columns[(k, 0)] + mean(1) * columns[(k, 1)];
+                        *value += off(0) * columns[(k, 0)] + off(1) * columns[(k, 1)];
                     }
                 }
                 list
@@ -104,10 +97,25 @@ impl Latent for HollowWheels {
             parameters: two.parameters(learnt.len(), &shown),
             decay_s: None,
             wheel_share: Some(two.share),
+            alike: true,
             traces: scene.spread(&windows),
             windows,
         })
     }
+}
+
+/// Two groups of wheelsets, and what they gain over natural wheels in log evidence, nats. Where all together differ by more than those
+/// do, two spreads about one mean are no alternative that must lose by far.
+fn grouped(list: &[Own]) -> Option<(f64, Mixture)> {
+    let plain = Mixture::one(list);
+    let natural = plain.naturally_spread();
+    let two = Mixture::groups(&plain, list)?;
+    let score = two.score(list);
+    let least = if natural.score(list) < plain.score(list) { 0.0 } else { CHOICE + GROUPED };
+    if score - Mixture::scales(&plain, list).score(list) < least {
+        return None;
+    }
+    Some((score - natural.score(list) - CHOICE, two))
 }
 
 /// What a path deeper by its own depth and shifted by 1 m adds to a window: two columns.
@@ -259,6 +267,12 @@ impl Mixture {
     fn one(list: &[Own]) -> Self {
         let start = Self { mean: [[0.0; 2]; 2], sd: [[0.1, 0.02]; 2], share: 0.0 };
         start.fitted(list, Tie::SameSpread)
+    }
+
+    /// No more spread in depth than wheels without a defect have.
+    fn naturally_spread(mut self) -> Self {
+        self.sd.iter_mut().for_each(|sd| sd[0] = sd[0].min(MOST_NATURAL_DEPTH));
+        self
     }
 
     /// Same mean, more spread in a part.
@@ -421,13 +435,6 @@ mod tests {
             .collect()
     }
 
-    fn gain(list: &[Own]) -> (f64, Mixture) {
-        let plain = Mixture::one(list);
-        let two = Mixture::groups(&plain, list).unwrap_or(plain);
-        let wide = Mixture::scales(&plain, list);
-        (two.score(list) - plain.score(list).max(wide.score(list)) - CHOICE, two)
-    }
-
     /// Depth shows at half its size and less the farther the wheel is shifted, as simulations have it.
     #[test]
     fn analytic_wheels_are_looked_up_by_what_they_show() {
@@ -445,11 +452,18 @@ mod tests {
 
     #[test]
     fn analytic_two_groups_are_found_and_one_is_not_split() {
-        let (found, two) = gain(&wheels(0.3, 0.06));
+        let (found, two) = grouped(&wheels(0.3, 0.06)).unwrap();
         assert!(found > 50.0, "{found}");
         assert!((two.mean[1][0] - two.mean[0][0] - 0.6).abs() < 0.03, "{two:?}");
         assert!((two.share - 0.3).abs() < 0.05, "{two:?}");
-        let (none, _) = gain(&wheels(0.0, 0.2));
-        assert!(none < 0.0, "{none}");
+        assert!(grouped(&wheels(0.0, 0.1)).is_none());
+    }
+
+    /// Groups that run into one another are hardly better than one wide spread, which no natural wheels have.
+    #[test]
+    fn regress_groups_are_told_from_what_wheels_differ_by_naturally() {
+        let (found, two) = grouped(&wheels(0.3, 0.3)).unwrap();
+        assert!(found > 100.0, "{found}");
+        assert!((two.mean[1][0] - two.mean[0][0] - 0.6).abs() < 0.15, "{two:?}");
     }
 }

@@ -110,6 +110,7 @@ impl Latent for WheelFlat {
             ],
             decay_s: None,
             wheel_share: Some(share),
+            alike: false,
             traces: scene.spread(&windows),
             windows,
         })

@@ -109,6 +109,7 @@ impl Latent for WheelOutOfRoundness {
             ],
             decay_s: None,
             wheel_share: Some(share),
+            alike: false,
             windows,
             traces,
         })

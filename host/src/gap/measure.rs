@@ -88,12 +88,10 @@ pub fn displacements(o: &Observed, model: (&World, &Response)) -> [Vec<f64>; 2] 
     [displacement(&recorded.1), displacement(&modelled)]
 }
 
-/// Squares of the corrected model's residual over those of the signal: acceleration, displacement, and the part of the
-/// acceleration that differs from bogie to bogie.
-pub fn residual_squares(p: &Prediction) -> [f64; 3] {
-    let [a, d] = squares(p, None);
-    let ratio = |q: &Squares, k: usize| q[k] / q[0].max(f64::MIN_POSITIVE);
-    [ratio(&a, 2), ratio(&d, 2), ratio(&a, 3)]
+/// Squares of the corrected model's residual over those of the signal, and the part of them that differs from bogie to bogie:
+/// acceleration, displacement.
+pub fn residual_squares(p: &Prediction) -> [[f64; 2]; 2] {
+    squares(p, None).map(|q| [2, 3].map(|k: usize| q[k] / q[0].max(f64::MIN_POSITIVE)))
 }
 
 /// RMS over passages relative to the measured signal, `[acceleration, displacement]`: of the base model's residual, of the

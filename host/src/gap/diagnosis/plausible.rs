@@ -4,7 +4,7 @@
 use faer::Mat;
 
 use super::Session;
-use super::candidates::APART_SHARE;
+use super::candidates::{APART_SHARE, LEAST_SAGGING};
 use super::recorder::{SATURATION, clock_by_operator, shows};
 use crate::gap::GapError;
 use crate::gap::data::{Observed, stated_noise_m_s2};
@@ -72,7 +72,8 @@ impl Session<'_> {
             ),
         });
         let recorder = [self.clipping_denial(), self.clock_denial(), self.unrest_denial()];
-        let others = recorder.into_iter().chain([self.wheels_denial(), self.lost_denial()]);
+        let others = [self.wheels_denial(), self.lost_denial(), self.sagging_denial()];
+        let others = recorder.into_iter().chain(others);
         [path, bed].into_iter().chain(others).flatten().collect()
     }
 
@@ -147,6 +148,18 @@ impl Session<'_> {
                 "what all bogies share departs from the model by {:.1} times what differs from bogie to bogie accounts for: something acts \
                  that the model does not hold; look at how the sensor is mounted, its cable and its range, and at the panel",
                 misfit.sqrt()
+            ),
+        })
+    }
+
+    /// The displacement is missed, and nothing is named: what acts on it may be a small part of the acceleration.
+    fn sagging_denial(&self) -> Option<Denial> {
+        (self.named.is_empty() && self.sagging > LEAST_SAGGING).then(|| Denial {
+            stage: None,
+            remark: format!(
+                "the sleeper's displacement departs from the model by {:.1} times what differs from bogie to bogie: look at the ballast, \
+                 for voids, and at the loads",
+                (1.0 + self.sagging).sqrt()
             ),
         })
     }

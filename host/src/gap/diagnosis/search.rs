@@ -29,11 +29,19 @@ const ADRIFT: &str = "wheels differ over this panel by more than the model can f
                       told before this is mended";
 
 /// A model before the last effect.
-struct Confirmed {
-    squares: [f64; 3],
-    described: usize,
+pub(super) struct Confirmed {
+    squares: [[f64; 2]; 2],
+    pub(super) described: usize,
     accepted: usize,
     fit: Option<Fit>,
+}
+
+impl Confirmed {
+    /// How far the displacement's residual is above what differs from bogie to bogie, in squares, relative.
+    pub(super) fn sagging(&self) -> f64 {
+        let [_, [all, own]] = self.squares;
+        all / own.max(f64::MIN_POSITIVE) - 1.0
+    }
 }
 
 impl Session<'_> {
@@ -104,6 +112,7 @@ impl Session<'_> {
             accepted: self.accepted.len(),
             fit: self.fit.clone(),
         };
+        self.sagging = earlier.sagging();
         let frame = &self.base.frame;
         let reference = if self.accepted.is_empty() {
             // The base model has settled already.
@@ -143,7 +152,7 @@ impl Session<'_> {
         let rings = self.rings(&reference.state);
         for c in &mut list {
             let of_ringing = rings && c.acts_on == ActsOn::Wheels;
-            if of_ringing || !self.worth_naming(c, earlier.described, misfit) {
+            if of_ringing || !self.worth_naming(c, earlier, misfit) {
                 c.gain = c.gain.min(0.5 * LEAST_GAIN);
             }
         }
@@ -276,33 +285,34 @@ impl Session<'_> {
         Ok(())
     }
 
-    /// Squares of the residual of the training passages with the current model, relative to the signal: acceleration and
-    /// displacement, and the acceleration's part that differs from bogie to bogie.
-    pub(super) fn current_squares(&self) -> Result<[f64; 3], GapError> {
+    /// Squares of the residual of the training passages with the current model, relative to the signal, and the part of them that
+    /// differs from bogie to bogie: acceleration, displacement.
+    pub(super) fn current_squares(&self) -> Result<[[f64; 2]; 2], GapError> {
         let frame = &self.base.frame;
         let world = self.state().world(frame, &self.accepted);
         let train = &self.split.train;
         let responses = simulate(&world, frame, train)?;
         let latent: Vec<&LatentFit> = self.latent_fits.iter().map(|(_, f)| f).collect();
-        let mut sums = [0.0; 3];
+        let mut sums = [[0.0; 2]; 2];
         for (i, r) in train.iter().zip(&responses) {
             let p = measure::prediction(frame, *i, (&world, r), &latent);
             let parts = measure::residual_squares(&p);
-            sums.iter_mut().zip(parts).for_each(|(s, v)| *s += v / train.len() as f64);
+            let sums = sums.as_flattened_mut().iter_mut();
+            sums.zip(parts.as_flattened()).for_each(|(s, v)| *s += v / train.len() as f64);
         }
         Ok(sums)
     }
 
     /// Whether the effect accepted last takes enough off the residual; if not, it is taken back.
     fn confirm(&mut self, earlier: &Confirmed, c: &Candidate) -> Result<bool, GapError> {
-        let [acceleration, displacement, own] = self.current_squares()?;
+        let [[acceleration, own], [displacement, _]] = self.current_squares()?;
         let Some(last) = self.named.last_mut() else { return Ok(true) };
         let part = |before: f64, now: f64, floor: f64| {
             ((before - now).max(0.0) / floor.max(f64::MIN_POSITIVE)).sqrt()
         };
         // The displacement has no floor of its own; half of what it gains counts.
-        last.gained = part(earlier.squares[0], acceleration, own)
-            .max(0.5 * part(earlier.squares[1], displacement, displacement));
+        last.gained = part(earlier.squares[0][0], acceleration, own)
+            .max(0.5 * part(earlier.squares[1][0], displacement, displacement));
         // Effects of single wheels have their own rule.
         if last.gained >= asked(LEAST_GAINED, earlier.described)
             || self.accepted.len() == earlier.accepted

@@ -118,7 +118,7 @@ impl Session<'_> {
 
     /// Squares of the training passages' residual that all wheels share, relative to the signal.
     pub(super) fn shared_squares(&self) -> Result<f64, GapError> {
-        let [all, _, own] = self.current_squares()?;
+        let [[all, own], _] = self.current_squares()?;
         Ok((all - own).max(0.0))
     }
 

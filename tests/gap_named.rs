@@ -6,7 +6,8 @@ use cpcm::gap::effect::Stage;
 use cpcm::gap::verdict::Verdict;
 use cpcm::recording::{Format, read_site, write_site};
 use cpcm::scenario::effects::{
-    BiasSteps, Factor, FrontRear, HollowWheels, Mount, PadStiffness, Saturation, Tonal, WheelOutOfRoundness,
+    BallastStiffening, BiasSteps, Factor, FrontRear, HollowWheels, Mount, PadStiffness, Saturation, Tonal,
+    WheelOutOfRoundness,
 };
 use cpcm::scenario::{Effects, read_scenario};
 use cpcm_tests::diagnosed::{among, full, named, quick, recorded, says, trial};
@@ -126,6 +127,27 @@ fn regress_hollow_wheels_over_soft_pads_are_named() {
     scenario.simulation.effects = Effects { pad_stiffness, hollow_wheels, ..Effects::default() };
     let found = among(&recorded(&scenario), &["pad-stiffness", "hollow-wheels"]);
     assert_eq!(named(&found), ["pad-stiffness", "hollow-wheels"], "{:?} {:?}", found.wheels, found.remarks);
+}
+
+/// The acceleration shows nothing of ballast that stiffens, and only what stands out of it was looked at.
+#[test]
+fn regress_stiffening_ballast_beside_interference_is_named() {
+    let mut scenario = trial(501, 117, &["load-transfer", "gain-temperature"]);
+    let tonal = Some(Tonal { frequency_hz: 119.99, amplitude_m_s2: 7.782 });
+    let ballast_stiffening = Some(BallastStiffening { doubling_m: 1.029e-4, bilinear_factor: None });
+    scenario.simulation.effects = Effects { tonal, ballast_stiffening, ..Effects::default() };
+    let found = among(&recorded(&scenario), &["tonal", "ballast-stiffening"]);
+    assert_eq!(named(&found), ["tonal", "ballast-stiffening"], "{:?} {:?}", found.verdict, found.remarks);
+}
+
+/// The same, left out of the catalogue.
+#[test]
+fn regress_a_displacement_that_the_model_misses_is_told() {
+    let mut scenario = trial(501, 117, &["load-transfer", "gain-temperature"]);
+    scenario.simulation.effects.ballast_stiffening =
+        Some(BallastStiffening { doubling_m: 1.029e-4, bilinear_factor: None });
+    let found = among(&recorded(&scenario), &["pad-stiffness"]);
+    assert_eq!(found.verdict, Verdict::Unexplained, "{:?} {:?}", found.gap, found.effects);
 }
 
 /// Ballast had taken the pads over, as a bed that is none; around it a mount promised more, and pads were not even fitted.

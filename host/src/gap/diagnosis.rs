@@ -266,8 +266,6 @@ struct Session<'a> {
     clips_at_m_s2: Option<f64>,
     /// How far the current model's residual is above the scatter of the wheels (in squares, relative), and that scatter.
     scatter: (f64, f64),
-    /// The former of the displacement, at the beginning of the last round of the search; 0 without a search.
-    sagging: f64,
 }
 
 impl<'a> Session<'a> {
@@ -298,7 +296,6 @@ impl<'a> Session<'a> {
             untrusted: false,
             clips_at_m_s2: None,
             scatter: (0.0, 0.0),
-            sagging: 0.0,
             base,
         };
         session.remark_on(site);

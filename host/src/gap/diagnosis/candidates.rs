@@ -19,7 +19,7 @@ const LEAST_SHARE: f64 = 0.025;
 const LEAST_EXCESS: f64 = 0.15;
 /// The same of the displacement, in squares: 40 simulated sites without effect and the reference recordings have up to 0.06; ballast
 /// that stiffens beside interference, of which the acceleration shows nothing, 0.77.
-pub(super) const LEAST_SAGGING: f64 = 0.25;
+pub(super) const LEAST_DISPLACEMENT_EXCESS: f64 = 0.25;
 /// Energy of an effect of single wheels or recordings relative to their scatter: the first one, and further ones. Less is asked of
 /// what is heard while no train is near, which no scatter can pass for.
 const LATENT_SHARE: (f64, f64) = (0.1, 0.15);
@@ -71,7 +71,7 @@ impl Session<'_> {
         let described = earlier.described;
         // A model as good as the scatter of the wheels has nothing to explain, unless the gain comes from elsewhere.
         let excess = self.scatter.0.max(0.0).sqrt();
-        let gap = excess > LEAST_EXCESS || earlier.sagging() > LEAST_SAGGING;
+        let gap = excess > LEAST_EXCESS || earlier.displacement_excess() > LEAST_DISPLACEMENT_EXCESS;
         let room = gap || c.relief > asked(RELIEVED, described) || c.mends;
         // What the first effect's description leaves must not be taken for a second one.
         let least_gain = asked((LEAST_GAIN, FURTHER * LEAST_GAIN), described);

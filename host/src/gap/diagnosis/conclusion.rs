@@ -44,7 +44,7 @@ impl Session<'_> {
             let named = self.named.iter().any(|n| n.name == r.name);
             r.gap_after = if named { gap.after } else { gap.before };
         }
-        let denials = self.denials(&after_state);
+        let denials = self.denials(&after_state)?;
         self.remarks.extend(denials.iter().map(|d| d.remark.clone()));
         let verdict = match self.untrusted {
             true => Verdict::Unexplained,

@@ -4,8 +4,9 @@
 use faer::Mat;
 
 use super::Session;
-use super::candidates::{APART_SHARE, LEAST_SAGGING};
+use super::candidates::{APART_SHARE, LEAST_DISPLACEMENT_EXCESS};
 use super::recorder::{SATURATION, clock_by_operator, shows};
+use super::search::displacement_excess;
 use crate::gap::GapError;
 use crate::gap::data::{Observed, stated_noise_m_s2};
 use crate::gap::effect::{Effect, Stage, Witness};
@@ -47,7 +48,7 @@ impl Session<'_> {
     }
 
     /// What denies the model in a state, however small the gap.
-    pub(super) fn denials(&self, state: &State) -> Vec<Denial> {
+    pub(super) fn denials(&self, state: &State) -> Result<Vec<Denial>, GapError> {
         let path = state.untenable(&self.base.frame).map(|side| Denial {
             stage: None,
             remark: match side {
@@ -72,9 +73,9 @@ impl Session<'_> {
             ),
         });
         let recorder = [self.clipping_denial(), self.clock_denial(), self.unrest_denial()];
-        let others = [self.wheels_denial(), self.lost_denial(), self.sagging_denial()];
+        let others = [self.wheels_denial(), self.lost_denial(), self.displacement_denial()?];
         let others = recorder.into_iter().chain(others);
-        [path, bed].into_iter().chain(others).flatten().collect()
+        Ok([path, bed].into_iter().chain(others).flatten().collect())
     }
 
     /// More than noise is recorded before trains come, enough to matter beside the wheels' scatter, and nothing named accounts for
@@ -153,15 +154,19 @@ impl Session<'_> {
     }
 
     /// The displacement is missed, and nothing is named: what acts on it may be a small part of the acceleration.
-    fn sagging_denial(&self) -> Option<Denial> {
-        (self.named.is_empty() && self.sagging > LEAST_SAGGING).then(|| Denial {
+    fn displacement_denial(&self) -> Result<Option<Denial>, GapError> {
+        if !self.named.is_empty() {
+            return Ok(None);
+        }
+        let excess = displacement_excess(&self.current_squares()?);
+        Ok((excess > LEAST_DISPLACEMENT_EXCESS).then(|| Denial {
             stage: None,
             remark: format!(
                 "the sleeper's displacement departs from the model by {:.1} times what differs from bogie to bogie: look at the ballast, \
                  for voids, and at the loads",
-                (1.0 + self.sagging).sqrt()
+                (1.0 + excess).sqrt()
             ),
-        })
+        }))
     }
 
     /// Factors by which the base model's mean windows fit passages best, given how wheels differ.

@@ -30,18 +30,25 @@ const ADRIFT: &str = "wheels differ over this panel by more than the model can f
 
 /// A model before the last effect.
 pub(super) struct Confirmed {
-    squares: [[f64; 2]; 2],
+    squares: Squares,
     pub(super) described: usize,
     accepted: usize,
     fit: Option<Fit>,
 }
 
 impl Confirmed {
-    /// How far the displacement's residual is above what differs from bogie to bogie, in squares, relative.
-    pub(super) fn sagging(&self) -> f64 {
-        let [_, [all, own]] = self.squares;
-        all / own.max(f64::MIN_POSITIVE) - 1.0
+    pub(super) fn displacement_excess(&self) -> f64 {
+        displacement_excess(&self.squares)
     }
+}
+
+/// Squares of the residual of the training passages, relative to the signal, and the part of them that differs from bogie to bogie:
+/// acceleration, displacement.
+type Squares = [[f64; 2]; 2];
+
+/// How far the displacement's residual is above what differs from bogie to bogie, in squares, relative.
+pub(super) fn displacement_excess([_, [all, own]]: &Squares) -> f64 {
+    all / own.max(f64::MIN_POSITIVE) - 1.0
 }
 
 impl Session<'_> {
@@ -112,7 +119,6 @@ impl Session<'_> {
             accepted: self.accepted.len(),
             fit: self.fit.clone(),
         };
-        self.sagging = earlier.sagging();
         let frame = &self.base.frame;
         let reference = if self.accepted.is_empty() {
             // The base model has settled already.
@@ -285,9 +291,8 @@ impl Session<'_> {
         Ok(())
     }
 
-    /// Squares of the residual of the training passages with the current model, relative to the signal, and the part of them that
-    /// differs from bogie to bogie: acceleration, displacement.
-    pub(super) fn current_squares(&self) -> Result<[[f64; 2]; 2], GapError> {
+    /// Squares of the current model.
+    pub(super) fn current_squares(&self) -> Result<Squares, GapError> {
         let frame = &self.base.frame;
         let world = self.state().world(frame, &self.accepted);
         let train = &self.split.train;

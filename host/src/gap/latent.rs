@@ -62,8 +62,6 @@ pub struct LatentFit {
     pub apart: bool,
     /// Share of the wheels that have it; none for an effect of the recordings.
     pub wheel_share: Option<f64>,
-    /// Whether all of them show the same.
-    pub alike: bool,
     /// Time in which what it adds decays behind the trains, s, where it does.
     pub decay_s: Option<f64>,
     /// What it adds to every window: passage, bogie.
@@ -81,6 +79,10 @@ pub trait Latent: Sync + Send {
     /// What it acts on.
     fn acts_on(&self) -> ActsOn {
         if self.stage() == Stage::Vehicle { ActsOn::Wheels } else { ActsOn::Recordings }
+    }
+    /// Whether all wheels that have it show the same.
+    fn alike(&self) -> bool {
+        false
     }
     /// Looks for the effect; `None` when there is no trace of it.
     fn explore(&self, scene: &Scene) -> Option<LatentFit>;

@@ -88,10 +88,32 @@ pub fn displacements(o: &Observed, model: (&World, &Response)) -> [Vec<f64>; 2] 
     [displacement(&recorded.1), displacement(&modelled)]
 }
 
-/// Squares of the corrected model's residual over those of the signal, and the part of them that differs from bogie to bogie:
-/// acceleration, displacement.
-pub fn residual_squares(p: &Prediction) -> [[f64; 2]; 2] {
-    squares(p, None).map(|q| [2, 3].map(|k: usize| q[k] / q[0].max(f64::MIN_POSITIVE)))
+/// Squares of the corrected model's residual relative to those of the signal, mean over passages.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Missed {
+    /// The whole residual.
+    pub all: f64,
+    /// What differs from bogie to bogie.
+    pub own: f64,
+}
+
+impl Missed {
+    /// How far the whole is above what differs from bogie to bogie, relative.
+    pub fn excess(&self) -> f64 {
+        self.all / self.own.max(f64::MIN_POSITIVE) - 1.0
+    }
+}
+
+/// What the corrected model misses, `[acceleration, displacement]`.
+pub fn missed(passages: &[Prediction]) -> [Missed; 2] {
+    let parts: Vec<[Squares; 2]> = passages.par_iter().map(|p| squares(p, None)).collect();
+    [0, 1].map(|q: usize| {
+        let mean = |k: usize| {
+            let relative = |p: &[Squares; 2]| p[q][k] / p[q][0].max(f64::MIN_POSITIVE);
+            parts.iter().map(|p| relative(p) / parts.len() as f64).sum()
+        };
+        Missed { all: mean(2), own: mean(3) }
+    })
 }
 
 /// RMS over passages relative to the measured signal, `[acceleration, displacement]`: of the base model's residual, of the

@@ -12,7 +12,7 @@ use crate::recording::files::write_atomic;
 use crate::recording::{Design, Site, TrafficDirection};
 use crate::scenario::{Scenario, ScenarioError, read_scenario, simulate};
 pub use score::{Bin, Score, bins, main_parameter, score};
-use strength::{DRAWN, Drawn, Plain};
+use strength::{DRAWN, Drawn, Plain, is_told};
 
 /// What a trial asks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -83,9 +83,9 @@ pub fn draw(seed: u64, index: u64, work: &Path) -> Result<Trial, TrialError> {
     }
     let plain = Plain::of(&scenario)?;
     let stream = |k: usize| Random::new(seed, EFFECT_STREAMS + 2 * index + k as u64);
-    let drawn = match question {
+    let (drawn, mut alone) = match question {
         Question::Pair => told(names, (stream, Random::new(seed, PAIR_STREAMS + index)), &plain)?,
-        _ => vec![Drawn::new((names[0], question), stream(0), &plain)?],
+        _ => (vec![Drawn::new((names[0], question), stream(0), &plain)?], Vec::new()),
     };
     for d in &drawn {
         answer.effects.push(d.name.to_string());
@@ -93,33 +93,35 @@ pub fn draw(seed: u64, index: u64, work: &Path) -> Result<Trial, TrialError> {
     }
     let site = simulate(&scenario, &Silent)?.site;
     answer.strength = plain.changed_by(&site);
-    answer.alone = match drawn.as_slice() {
-        [_] => vec![answer.strength],
-        several => several.iter().map(|d| d.alone(&plain)).collect::<Result<_, ScenarioError>>()?,
-    };
+    if alone.is_empty() {
+        alone.push(answer.strength);
+    }
+    answer.alone = alone;
     let exclude = drawn.first().filter(|_| question == Question::LeftOut).map(|d| d.name);
     Ok(Trial { site, exclude, answer })
 }
 
-/// Two effects that can be told alone: one whose range ends before it changes this site's signal by as much gives way to another.
+/// Two effects that can be told alone, and how much each changes the signal alone: one whose range ends before it changes this site's signal by as much gives way to another.
 fn told(
     mut names: Vec<&'static str>,
     (stream, mut random): (impl Fn(usize) -> Random, Random),
     plain: &Plain,
-) -> Result<Vec<Drawn>, ScenarioError> {
-    let mut drawn = Vec::new();
+) -> Result<(Vec<Drawn>, Vec<f64>), ScenarioError> {
+    let (mut drawn, mut alone) = (Vec::new(), Vec::new());
     let mut k = 0;
     while drawn.len() < 2 {
         if k == names.len() {
             names.push(another(&names, &mut random));
         }
         let effect = Drawn::new((names[k], Question::Pair), stream(drawn.len()), plain)?;
-        if effect.is_told(plain)? {
+        let strength = effect.alone(plain)?;
+        if is_told(strength) {
             drawn.push(effect);
+            alone.push(strength);
         }
         k += 1;
     }
-    Ok(drawn)
+    Ok((drawn, alone))
 }
 
 /// An effect that is not among `names`.

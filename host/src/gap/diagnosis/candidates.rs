@@ -53,7 +53,9 @@ pub(super) type Explored = (&'static dyn Latent, Option<LatentFit>, f64);
 pub(super) struct Candidate {
     pub(super) name: &'static str,
     pub(super) stage: Stage,
+    /// In log evidence, nats.
     pub(super) gain: f64,
+    /// In log posterior, nats.
     misfit_gain: f64,
     /// The same per independent look.
     pub(super) relief: f64,
@@ -71,7 +73,7 @@ impl Session<'_> {
         let described = earlier.described;
         // A model as good as the scatter of the wheels has nothing to explain, unless the gain comes from elsewhere.
         let excess = self.scatter.0.max(0.0).sqrt();
-        let gap = excess > LEAST_EXCESS || earlier.displacement_excess() > LEAST_DISPLACEMENT_EXCESS;
+        let gap = excess > LEAST_EXCESS || earlier.missed[1].excess() > LEAST_DISPLACEMENT_EXCESS;
         let room = gap || c.relief > asked(RELIEVED, described) || c.mends;
         // What the first effect's description leaves must not be taken for a second one.
         let least_gain = asked((LEAST_GAIN, FURTHER * LEAST_GAIN), described);
@@ -91,66 +93,71 @@ impl Session<'_> {
             .map(Fit::inflation)
             .fold(reference.inflation(), f64::min);
         let heard = self.heard(tried, reference)?;
-        let astray = reference.state.implausible(&self.base.frame);
-        let common = tried.iter().zip(heard).map(|(t, heard)| {
-            let (gain, full) = match &t.fit {
-                // A strength at the end of its range is no strength but a fit that found no other way.
-                Some(f) => (
-                    f.log_evidence - reference.log_evidence,
-                    inside_ranges(t.effect, f)
-                        && large_enough(t.effect, f, self.accepted.len(), inflation)
-                        && self.borne_out(t.effect)
-                        // What the hammer denies as firmly as an effect must show itself is not there.
-                        && heard > -LEAST_GAIN,
-                ),
-                None => (t.screened.min(LEAST_GAIN), false),
-            };
-            let misfit_gain = t.fit.as_ref().map_or(0.0, |f| f.log_posterior - reference.log_posterior);
-            Candidate {
-                name: t.effect.name(),
-                stage: t.effect.stage(),
-                gain: gain / inflation + heard,
-                misfit_gain,
-                relief: misfit_gain / inflation + heard,
-                mends: astray && t.fit.as_ref().is_some_and(|f| f.state.common(&self.base.frame)),
-                full,
-                acts_on: ActsOn::Panel,
-                apart: false,
-            }
-        });
-        let latent = latent.iter().map(|(e, f, moved)| {
-            let share = f.as_ref().map_or(0.0, |f| self.share_of(f));
-            let shared = f.as_ref().map_or(0.0, |f| self.shared_by_bogies(f));
-            let of_wheels = e.acts_on() == ActsOn::Wheels;
-            let decays = f.as_ref().is_some_and(|f| f.decay_s.is_some());
-            let erratic = !of_wheels && *moved > ERRATIC.0 && shared < ERRATIC.1;
-            let apart = erratic || f.as_ref().is_some_and(|f| f.apart);
-            let least = if apart { APART_SHARE } else { asked(LATENT_SHARE, self.described()) };
-            let of_each = of_wheels || (decays && !apart);
-            let full = (share > least || *moved > DISPLACEMENT_SHARE)
-                && !(of_each && shared > MOST_SHARED)
-                && !f.as_ref().is_some_and(everywhere);
-            // Where wheels differ as no sound ones do, some have a defect.
-            let defective = of_wheels && self.base.variation.unnatural().is_some();
-            let dependent = if defective { 1.0 } else { LATENT_INFLATION };
-            // What a lost model leaves over is no wheel's; elsewhere the mean says nothing of single wheels, and the model nothing
-            // of what shows without trains.
-            let doubt = if reference.lost() && !apart { dependent * inflation } else { dependent };
-            let gain = f.as_ref().map_or(0.0, |f| f.gain) / doubt;
-            let gain = if full { gain } else { gain.min(0.5 * LEAST_GAIN) };
-            Candidate {
-                name: e.name(),
-                stage: e.stage(),
-                gain,
-                misfit_gain: f64::INFINITY,
-                relief: f64::INFINITY,
-                mends: false,
-                full,
-                acts_on: e.acts_on(),
-                apart,
-            }
-        });
+        let common =
+            tried.iter().zip(heard).map(|(t, heard)| self.of_panel(t, heard, (reference, inflation)));
+        let latent = latent.iter().map(|explored| self.of_latent(explored, (reference, inflation)));
         Ok(common.chain(latent).collect())
+    }
+
+    /// An effect of the panel, which the hammer has `heard` with this gain.
+    fn of_panel(&self, t: &Tried, heard: f64, (reference, inflation): (&Fit, f64)) -> Candidate {
+        let fit = t.fit.as_ref();
+        let gain = fit.map_or(t.screened.min(LEAST_GAIN), |f| f.log_evidence - reference.log_evidence);
+        let misfit_gain = fit.map_or(0.0, |f| f.log_posterior - reference.log_posterior);
+        let astray = reference.state.implausible(&self.base.frame);
+        Candidate {
+            name: t.effect.name(),
+            stage: t.effect.stage(),
+            gain: gain / inflation + heard,
+            misfit_gain,
+            relief: misfit_gain / inflation + heard,
+            mends: astray && fit.is_some_and(|f| f.state.common(&self.base.frame)),
+            full: fit.is_some_and(|f| {
+                // A strength at the end of its range is no strength but a fit that found no other way.
+                inside_ranges(t.effect, f)
+                    && large_enough(t.effect, f, self.accepted.len(), inflation)
+                    && self.borne_out(t.effect)
+                    // What the hammer denies as firmly as an effect must show itself is not there.
+                    && heard > -LEAST_GAIN
+            }),
+            acts_on: ActsOn::Panel,
+            apart: false,
+        }
+    }
+
+    /// An effect of single wheels or recordings.
+    fn of_latent(&self, (effect, found, moved): &Explored, (reference, inflation): (&Fit, f64)) -> Candidate {
+        let nothing = Candidate {
+            name: effect.name(),
+            stage: effect.stage(),
+            gain: 0.0,
+            misfit_gain: f64::INFINITY,
+            relief: f64::INFINITY,
+            mends: false,
+            full: false,
+            acts_on: effect.acts_on(),
+            apart: false,
+        };
+        let Some(found) = found else { return nothing };
+        let of_wheels = nothing.acts_on == ActsOn::Wheels;
+        let share = self.share_of(found);
+        let shared = self.shared_by_bogies(found, effect.alike());
+        let erratic = !of_wheels && *moved > ERRATIC.0 && shared < ERRATIC.1;
+        let apart = erratic || found.apart;
+        let least = if apart { APART_SHARE } else { asked(LATENT_SHARE, self.described()) };
+        let of_each = of_wheels || (found.decay_s.is_some() && !apart);
+        let full = (share > least || *moved > DISPLACEMENT_SHARE)
+            && !(of_each && shared > MOST_SHARED)
+            && !everywhere(found);
+        // Where wheels differ as no sound ones do, some have a defect.
+        let defective = of_wheels && self.base.variation.unnatural().is_some();
+        let dependent = if defective { 1.0 } else { LATENT_INFLATION };
+        // What a lost model leaves over is no wheel's; elsewhere the mean says nothing of single wheels, and the model nothing
+        // of what shows without trains.
+        let doubt = if reference.lost() && !apart { dependent * inflation } else { dependent };
+        let gain = found.gain / doubt;
+        let gain = if full { gain } else { gain.min(0.5 * LEAST_GAIN) };
+        Candidate { gain, full, apart, ..nothing }
     }
 
     /// Gain of every fit in the log likelihood of the measured receptance; nought without one.
@@ -178,10 +185,10 @@ impl Session<'_> {
 
     /// Part of the energy that an effect adds to the windows which is the same for all bogies of a train, beyond what chance gives where
     /// its wheels are alike: no single wheel's.
-    fn shared_by_bogies(&self, found: &LatentFit) -> f64 {
+    fn shared_by_bogies(&self, found: &LatentFit, alike: bool) -> f64 {
         let parts = self.split.train.iter().map(|i| energies(&found.windows[*i]));
         let (all, shared) = parts.fold((0.0, 0.0), |(a, s), (all, shared)| (a + all, s + shared));
-        let chance = found.wheel_share.filter(|_| found.alike).unwrap_or(0.0);
+        let chance = found.wheel_share.filter(|_| alike).unwrap_or(0.0);
         (shared / all.max(f64::MIN_POSITIVE) - chance) / (1.0 - chance).max(f64::MIN_POSITIVE)
     }
 }

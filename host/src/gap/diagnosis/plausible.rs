@@ -6,7 +6,6 @@ use faer::Mat;
 use super::Session;
 use super::candidates::{APART_SHARE, LEAST_DISPLACEMENT_EXCESS};
 use super::recorder::{SATURATION, clock_by_operator, shows};
-use super::search::displacement_excess;
 use crate::gap::GapError;
 use crate::gap::data::{Observed, stated_noise_m_s2};
 use crate::gap::effect::{Effect, Stage, Witness};
@@ -158,7 +157,8 @@ impl Session<'_> {
         if !self.named.is_empty() {
             return Ok(None);
         }
-        let excess = displacement_excess(&self.current_squares()?);
+        let [_, displacement] = self.missed()?;
+        let excess = displacement.excess();
         Ok((excess > LEAST_DISPLACEMENT_EXCESS).then(|| Denial {
             stage: None,
             remark: format!(

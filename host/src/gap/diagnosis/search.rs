@@ -1,5 +1,7 @@
 //! Search for effects: rounds of screening, fits, acceptance and confirmation. What counts is in `candidates`.
 
+use rayon::prelude::*;
+
 use super::candidates::{Candidate, Explored, RELIEVED, asked, put_apart_first, put_wheels_first, same_gain};
 use super::{LEAST_GAIN, MOST_SURE, Named, Ranked, Session};
 use crate::gap::GapError;
@@ -9,7 +11,7 @@ use crate::gap::effect::{ActsOn, Effect, Stage};
 use crate::gap::fit::{Fit, FitOptions, State, fit, settled, simulate};
 use crate::gap::forward::Response;
 use crate::gap::latent::{LatentFit, Scene};
-use crate::gap::measure::{self, ALIGN_M};
+use crate::gap::measure::{self, ALIGN_M, Missed, Prediction};
 use crate::gap::select::{Standing, Tried, gain, round};
 use crate::gap::world::SensorModel;
 use crate::progress::Progress;
@@ -30,25 +32,11 @@ const ADRIFT: &str = "wheels differ over this panel by more than the model can f
 
 /// A model before the last effect.
 pub(super) struct Confirmed {
-    squares: Squares,
+    /// Of the acceleration and of the displacement.
+    pub(super) missed: [Missed; 2],
     pub(super) described: usize,
     accepted: usize,
     fit: Option<Fit>,
-}
-
-impl Confirmed {
-    pub(super) fn displacement_excess(&self) -> f64 {
-        displacement_excess(&self.squares)
-    }
-}
-
-/// Squares of the residual of the training passages, relative to the signal, and the part of them that differs from bogie to bogie:
-/// acceleration, displacement.
-type Squares = [[f64; 2]; 2];
-
-/// How far the displacement's residual is above what differs from bogie to bogie, in squares, relative.
-pub(super) fn displacement_excess([_, [all, own]]: &Squares) -> f64 {
-    all / own.max(f64::MIN_POSITIVE) - 1.0
 }
 
 impl Session<'_> {
@@ -114,7 +102,7 @@ impl Session<'_> {
     /// Tries everything on top of what is accepted; accepts the best if it is good enough.
     fn one_round(&mut self, progress: &dyn Progress) -> Result<bool, GapError> {
         let earlier = &Confirmed {
-            squares: self.current_squares()?,
+            missed: self.missed()?,
             described: self.described(),
             accepted: self.accepted.len(),
             fit: self.fit.clone(),
@@ -130,29 +118,9 @@ impl Session<'_> {
         };
         let mut latent = self.explore()?;
         progress.step();
-        let names: Vec<&str> = self.named.iter().map(|n| n.name).collect();
-        let candidates: Vec<&'static dyn Effect> =
-            self.common.iter().copied().filter(|e| !names.contains(&e.name())).collect();
-        let lost = reference.lost();
-        let from_afar = if lost && self.accepted.is_empty() {
-            Some(reference.state.on_nominal_ballast())
-        } else {
-            let astray = lost || reference.state.strained(&self.base.frame);
-            astray.then(|| reference.state.on_the_scan())
-        };
-        let nominal = reference.state.on_nominal_ballast();
-        let standing = Standing {
-            accepted: &self.accepted,
-            state: &reference.state,
-            from_afar: from_afar.as_ref(),
-            afresh: (!lost && reference.state.odd_bed()).then_some(&nominal),
-        };
-        let (mut tried, screening) =
-            round(&self.base.frame, standing, &candidates, &self.hints, self.search)?;
-        if self.cosines.is_empty() {
-            self.cosines = cosines(&screening, &candidates);
-        }
+        let mut tried = self.fit_common(&reference)?;
         progress.step();
+        let lost = reference.lost();
         let mut list = self.candidates(&tried, &reference, &latent)?;
         let misfit: f64 = reference.passages.iter().map(|p| squares(&p.residual)).sum();
         let rings = self.rings(&reference.state);
@@ -188,6 +156,29 @@ impl Session<'_> {
             }
         }
         Ok(false)
+    }
+
+    /// Fits every effect of the panel that is not named yet on top of a fit.
+    fn fit_common(&mut self, reference: &Fit) -> Result<Vec<Tried<'static>>, GapError> {
+        let frame = &self.base.frame;
+        let named = |e: &&dyn Effect| self.named.iter().any(|n| n.name == e.name());
+        let candidates: Vec<&'static dyn Effect> =
+            self.common.iter().copied().filter(|e| !named(e)).collect();
+        let state = &reference.state;
+        let lost = reference.lost();
+        let nominal = state.on_nominal_ballast();
+        let on_the_scan = state.on_the_scan();
+        let from_afar = match lost && self.accepted.is_empty() {
+            true => Some(&nominal),
+            false => (lost || state.strained(frame)).then_some(&on_the_scan),
+        };
+        let afresh = (!lost && state.odd_bed()).then_some(&nominal);
+        let standing = Standing { accepted: &self.accepted, state, from_afar, afresh };
+        let (tried, screening) = round(frame, standing, &candidates, &self.hints, self.search)?;
+        if self.cosines.is_empty() {
+            self.cosines = cosines(&screening, &candidates);
+        }
+        Ok(tried)
     }
 
     /// Effects of single wheels in the model.
@@ -291,33 +282,31 @@ impl Session<'_> {
         Ok(())
     }
 
-    /// Squares of the current model.
-    pub(super) fn current_squares(&self) -> Result<Squares, GapError> {
+    /// What the current model misses of the training passages, `[acceleration, displacement]`.
+    pub(super) fn missed(&self) -> Result<[Missed; 2], GapError> {
         let frame = &self.base.frame;
         let world = self.state().world(frame, &self.accepted);
         let train = &self.split.train;
         let responses = simulate(&world, frame, train)?;
         let latent: Vec<&LatentFit> = self.latent_fits.iter().map(|(_, f)| f).collect();
-        let mut sums = [[0.0; 2]; 2];
-        for (i, r) in train.iter().zip(&responses) {
-            let p = measure::prediction(frame, *i, (&world, r), &latent);
-            let parts = measure::residual_squares(&p);
-            let sums = sums.as_flattened_mut().iter_mut();
-            sums.zip(parts.as_flattened()).for_each(|(s, v)| *s += v / train.len() as f64);
-        }
-        Ok(sums)
+        let predictions: Vec<Prediction> = train
+            .par_iter()
+            .zip(&responses)
+            .map(|(i, r)| measure::prediction(frame, *i, (&world, r), &latent))
+            .collect();
+        Ok(measure::missed(&predictions))
     }
 
     /// Whether the effect accepted last takes enough off the residual; if not, it is taken back.
     fn confirm(&mut self, earlier: &Confirmed, c: &Candidate) -> Result<bool, GapError> {
-        let [[acceleration, own], [displacement, _]] = self.current_squares()?;
+        let [acceleration, displacement] = self.missed()?;
         let Some(last) = self.named.last_mut() else { return Ok(true) };
         let part = |before: f64, now: f64, floor: f64| {
             ((before - now).max(0.0) / floor.max(f64::MIN_POSITIVE)).sqrt()
         };
         // The displacement has no floor of its own; half of what it gains counts.
-        last.gained = part(earlier.squares[0][0], acceleration, own)
-            .max(0.5 * part(earlier.squares[1][0], displacement, displacement));
+        last.gained = part(earlier.missed[0].all, acceleration.all, acceleration.own)
+            .max(0.5 * part(earlier.missed[1].all, displacement.all, displacement.all));
         // Effects of single wheels have their own rule.
         if last.gained >= asked(LEAST_GAINED, earlier.described)
             || self.accepted.len() == earlier.accepted

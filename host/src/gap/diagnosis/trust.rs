@@ -118,8 +118,8 @@ impl Session<'_> {
 
     /// Squares of the training passages' residual that all wheels share, relative to the signal.
     pub(super) fn shared_squares(&self) -> Result<f64, GapError> {
-        let [[all, own], _] = self.current_squares()?;
-        Ok((all - own).max(0.0))
+        let [acceleration, _] = self.missed()?;
+        Ok((acceleration.all - acceleration.own).max(0.0))
     }
 
     /// Whether another path than the scan's predicts the recordings far better.

@@ -70,9 +70,9 @@ impl Latent for BiasStep {
             // What is over before the bogie has passed is its own doing, what outlasts trains the recorder's bias.
             return None;
         }
-        let score = comparison.score(shock);
         let fits: Vec<Steps> =
             (0..scene.observed.len()).into_par_iter().map(|i| comparison.steps(i, shock)).collect();
+        let score = scene.train.iter().map(|i| fits[*i].gain).sum();
         let learnt: Vec<f64> =
             scene.train.iter().flat_map(|i| fits[*i].sizes.iter().map(|s| s.abs())).collect();
         let step = quantile(&learnt, 0.5);
@@ -101,7 +101,6 @@ impl Latent for BiasStep {
             ],
             decay_s: Some(decay_s),
             wheel_share: None,
-            alike: false,
             windows: scene.cut(&traces),
             traces,
         })

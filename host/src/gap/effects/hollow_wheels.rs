@@ -71,6 +71,10 @@ impl Latent for HollowWheels {
         Stage::Vehicle
     }
 
+    fn alike(&self) -> bool {
+        true
+    }
+
     fn explore(&self, scene: &Scene) -> Option<LatentFit> {
         let all: Vec<Own> =
             (0..scene.observed.len()).into_par_iter().flat_map_iter(|i| own(scene, i)).collect();
@@ -100,7 +104,6 @@ impl Latent for HollowWheels {
             parameters: two.parameters(learnt.len(), &shown),
             decay_s: None,
             wheel_share: Some(two.share),
-            alike: true,
             traces: scene.spread(&windows),
             windows,
         })
@@ -111,15 +114,15 @@ impl Latent for HollowWheels {
 /// do, beyond chance, two spreads about one mean are no alternative that must lose by far.
 fn grouped(list: &[Own]) -> Option<(f64, Mixture)> {
     let plain = Mixture::one(list);
-    let natural = plain.naturally_spread();
+    let natural = plain.naturally_spread().score(list);
     let two = Mixture::groups(&plain, list)?;
     let score = two.score(list);
-    let unnatural = plain.score(list) - natural.score(list) > BEYOND_CHANCE;
+    let unnatural = plain.score(list) - natural > BEYOND_CHANCE;
     let least = if unnatural { 0.0 } else { CHOICE + GROUPED };
     if score - Mixture::scales(&plain, list).score(list) < least {
         return None;
     }
-    Some((score - natural.score(list) - CHOICE, two))
+    Some((score - natural - CHOICE, two))
 }
 
 /// What a path deeper by its own depth and shifted by 1 m adds to a window: two columns.

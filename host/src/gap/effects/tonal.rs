@@ -185,7 +185,6 @@ impl Latent for Tonal {
             ],
             decay_s: None,
             wheel_share: None,
-            alike: false,
             windows: scene.cut(&traces),
             traces,
         })

@@ -110,7 +110,6 @@ impl Latent for WheelFlat {
             ],
             decay_s: None,
             wheel_share: Some(share),
-            alike: false,
             traces: scene.spread(&windows),
             windows,
         })

@@ -109,7 +109,6 @@ impl Latent for WheelOutOfRoundness {
             ],
             decay_s: None,
             wheel_share: Some(share),
-            alike: false,
             windows,
             traces,
         })

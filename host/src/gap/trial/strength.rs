@@ -77,6 +77,11 @@ impl Plain {
     }
 }
 
+/// Whether an effect that changes the signal by as much can be told alone.
+pub(super) fn is_told(alone: f64) -> bool {
+    alone > SHORT * TOLD.0
+}
+
 /// An effect of a trial: its strength is along its range, all else of it is drawn once.
 pub(super) struct Drawn {
     pub name: &'static str,
@@ -112,11 +117,6 @@ impl Drawn {
         let mut scenario = plain.scenario.clone();
         self.put(&mut scenario.simulation.effects);
         Ok(plain.changed_by(&simulate(&scenario, &Silent)?.site))
-    }
-
-    /// Whether it changes the signal by enough to be told alone.
-    pub fn is_told(&self, plain: &Plain) -> Result<bool, ScenarioError> {
-        Ok(self.alone(plain)? > SHORT * TOLD.0)
     }
 
     /// Puts it into a scenario's effects; its main parameter.

@@ -266,11 +266,11 @@ fn common_force(
     let prepared = model.prepared(&some)?;
     let evidence = |prior: &Prior| SiteModel { prior, ..model.clone() }.log_evidence(&prepared);
     let prior = refine(&start, &FORCE, &evidence)?;
-    drop(prepared);
     progress.step();
     // The profile that a few passages show is good enough to linearise about.
     let model = SiteModel { prior: &prior, ..model };
-    let rough = model.posterior_profile(&some)?;
+    let rough = model.posterior_profile(&prepared)?;
+    drop(prepared);
     progress.step();
     let all = SiteModel { profile: &rough, ..model }.posterior(passages)?;
     realign(passages, &all);

@@ -116,24 +116,20 @@ impl Interaction {
         let to_leading = self.bogie.other_wheelset(delay);
         let to_trailing = self.bogie.other_wheelset(-delay);
         let rails = self.rail_kernels(position_m);
-        let mut compliance = Mat::zeros(4 * n, 4 * n);
-        for (read, loaded) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
-            let rail = usize::from(read != loaded);
-            // Both wheelsets meet the same rails and have the same inertia.
-            let own = self.within_wheelset(&rails, read, loaded);
-            let mut put = |axle_read: usize, axle_loaded: usize, block: &Mat<f64>| {
-                let (row, column) = (2 * axle_read + read, 2 * axle_loaded + loaded);
-                compliance.submatrix_mut(row * n, column * n, n, n).copy_from(block);
-            };
-            put(0, 0, &own);
-            put(1, 1, &own);
-            put(0, 1, &toeplitz(&to_leading[rail], n));
-            put(1, 0, &toeplitz(&to_trailing[rail], n));
+        let both_rails = |block: &dyn Fn(usize, usize) -> Mat<f64>| {
+            let mut out = Mat::zeros(2 * n, 2 * n);
+            for (read, loaded) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
+                out.submatrix_mut(read * n, loaded * n, n, n).copy_from(&block(read, loaded));
+            }
+            out
+        };
+        let mut own = both_rails(&|read, loaded| self.within_wheelset(&rails, read, loaded));
+        for i in 0..2 * n {
+            own[(i, i)] += contact;
         }
-        for i in 0..4 * n {
-            compliance[(i, i)] += contact;
-        }
-        let stiffness = compliance.partial_piv_lu().inverse();
+        let across = [to_leading, to_trailing]
+            .map(|of| both_rails(&|read, loaded| toeplitz(&of[usize::from(read != loaded)], n)));
+        let stiffness = inverse_of_twins(&own, &across);
         Motion { interaction: self, position_m, direction, static_force_n, stiffness, rails }
     }
 
@@ -157,6 +153,23 @@ fn toeplitz(series: &[f64], n: usize) -> Mat<f64> {
         earlier.copy_from_slice(before(j));
         later.copy_from_slice(&series[..n - j]);
     }
+    out
+}
+
+/// Inverse of [[own, to leading], [to trailing, own]]: both wheelsets meet the same rails and have the same inertia. By the Schur
+/// complement of one of them; a wheelset follows its own force far more than its companion's, so that this is as exact as an inverse
+/// of the whole, in half its time.
+fn inverse_of_twins(own: &Mat<f64>, [to_leading, to_trailing]: &[Mat<f64>; 2]) -> Mat<f64> {
+    let m = own.nrows();
+    let alone = own.partial_piv_lu().inverse();
+    let (right, left) = (&alone * to_leading, to_trailing * &alone);
+    let trailing = (own - to_trailing * &right).partial_piv_lu().inverse();
+    let (upper, lower) = (&right * &trailing, &trailing * &left);
+    let mut out = Mat::zeros(2 * m, 2 * m);
+    out.submatrix_mut(0, 0, m, m).copy_from(&alone + &upper * &left);
+    out.submatrix_mut(0, m, m, m).copy_from(-upper);
+    out.submatrix_mut(m, 0, m, m).copy_from(-lower);
+    out.submatrix_mut(m, m, m, m).copy_from(&trailing);
     out
 }
 

@@ -6,6 +6,7 @@
 //! f̂ = b + K a with fixed K, b and fixed interval widths. The same K is what the node applies.
 
 pub mod displacement;
+mod deviations;
 mod estimator;
 pub mod hierarchy;
 pub mod hyper;

@@ -2,17 +2,17 @@
 
 use std::sync::Arc;
 
-use faer::linalg::matmul::{matmul, triangular};
+use faer::linalg::matmul::matmul;
 use faer::linalg::solvers::Llt;
 use faer::linalg::solvers::Solve as _;
 use faer::{Accum, Mat, MatRef, Par};
 
 use super::Prior;
+use super::deviations::Deviations;
 use super::hierarchy::GroupOffsets;
 use super::profile::{CommonProfile, WheelClass, add_scaled};
 use super::train::{Axle, Group, Train};
 use super::wheel::{Basis, Running, SIDES, TrackModel};
-use crate::interaction::Contacts;
 use crate::track::Side;
 
 /// Why an estimator could not be built.
@@ -59,13 +59,9 @@ pub struct Estimator {
     log_det_half: f64,
     train: Arc<Train>,
     group: usize,
-    /// Factors of the covariance of a wheel's own deviation, N.
-    root_n: Arc<Contacts>,
-    shaped: Arc<Vec<Shaped>>,
+    /// On the crossing rail.
+    own: Arc<Deviations>,
 }
-
-/// kernel · root of an axle: window per whitened force deviation, `[crossing, stock]`.
-pub(super) type Shaped = [Mat<f64>; 2];
 
 /// Linear map from a window to the force of one axle on a grid: force = base + gain · (window − expected).
 pub struct AxleGain {
@@ -114,26 +110,22 @@ impl Estimator {
         let offsets =
             GroupOffsets { own: geometry.axle_offset_m.to_vec(), train: geometry.train_offset_m.to_vec() };
         let train = Arc::new(Train::new(model, moved, geometry.running, &[&offsets], prior, common)?);
-        let (root_n, shaped) = train.shaped(prior)?;
-        let estimator = Self::of_group(&train, 0, prior, &root_n, &shaped)?;
+        let estimator = Self::of_group(&train, 0, prior, &train.deviations(prior)?)?;
         Ok((estimator, train.groups[0].moved_m_s2.clone()))
     }
 
-    /// Of a group of a train, with the factors of the wheels' own deviations and what the sensor shows of them.
+    /// Of a group of a train, with the deviations of its wheels on `[crossing, stock]`.
     pub(super) fn of_group(
         train: &Arc<Train>,
         group: usize,
         prior: &Prior,
-        root_n: &Arc<Contacts>,
-        shaped: &Arc<Vec<Shaped>>,
+        own: &[Arc<Deviations>; 2],
     ) -> Result<Self, InverseError> {
         let Group { window, axles, expected_m_s2, expected_slope_m_s3, .. } = &train.groups[group];
         let len = window.len;
         let mut covariance = noise_covariance(prior, len);
         for axle in axles {
-            for rail in &shaped[*axle] {
-                add_square(&mut covariance, rail.subrows(0, len));
-            }
+            own.iter().for_each(|rail| rail.add_covariance(*axle, &mut covariance));
             add_outer(&mut covariance, &train.axles[*axle].static_m_s2[..len], prior.load_sd.powi(2));
         }
         let bad = |_| InverseError::Covariance { len, noise_m_s2: prior.noise_m_s2 };
@@ -150,8 +142,7 @@ impl Estimator {
             log_det_half,
             train: Arc::clone(train),
             group,
-            root_n: Arc::clone(root_n),
-            shaped: Arc::clone(shaped),
+            own: Arc::clone(&own[0]),
         })
     }
 
@@ -202,7 +193,7 @@ impl Estimator {
         let low_pass = self.low_pass(grid_m, low_pass_hz);
         let forces = self.axles().map(|(axle, shaped)| {
             let which = usize::from(!axle.class.leading);
-            let mut deviation = &self.root_n[which][0] * (shaped.transpose() * &solved);
+            let mut deviation = &self.own.root_n[which] * (shaped.transpose() * &solved);
             for (i, mean) in self.train.wheel.mean_n[which][0].iter().enumerate() {
                 deviation[(i, 0)] += mean;
             }
@@ -218,7 +209,7 @@ impl Estimator {
     fn axles(&self) -> impl Iterator<Item = (&Axle, MatRef<'_, f64>)> {
         let n = self.len();
         let axles = self.train.groups[self.group].axles.iter();
-        axles.map(move |a| (&self.train.axles[*a], self.shaped[*a][0].subrows(0, n)))
+        axles.map(move |a| (&self.train.axles[*a], self.own.shaped[*a].subrows(0, n)))
     }
 
     /// Linear maps to the force of every axle, low-passed at `low_pass_hz` (brick wall), at positions `grid_m`.
@@ -242,7 +233,7 @@ impl Estimator {
         let wheel = &self.train.wheel;
         let mean_n = &wheel.mean_n[which][0];
         let (m, n, g) = (mean_n.len(), self.len(), low_pass.nrows());
-        let whitened = low_pass * &self.root_n[which][0];
+        let whitened = low_pass * &self.own.root_n[which];
         let load_variance = self.load_sd.powi(2);
         let static_force_n = self.train.running.static_force_n;
         // Covariance between the forces on the grid and the window.
@@ -311,19 +302,4 @@ fn add_outer(covariance: &mut Mat<f64>, v: &[f64], scale: f64) {
 fn noise_covariance(prior: &Prior, len: usize) -> Mat<f64> {
     let offset = prior.offset_sd_m_s2.powi(2);
     Mat::from_fn(len, len, |i, j| offset + if i == j { prior.noise_m_s2.powi(2) } else { 0.0 })
-}
-
-/// covariance += shaped · shapedᵀ, lower triangle.
-fn add_square(covariance: &mut Mat<f64>, shaped: MatRef<'_, f64>) {
-    triangular::matmul(
-        covariance,
-        triangular::BlockStructure::TriangularLower,
-        Accum::Add,
-        shaped,
-        triangular::BlockStructure::Rectangular,
-        shaped.transpose(),
-        triangular::BlockStructure::Rectangular,
-        1.0,
-        Par::Seq,
-    );
 }

@@ -131,24 +131,26 @@ impl SiteModel<'_> {
         Ok(SitePosterior { log_evidence: joint.log_evidence, covariance, mean_shift_sd_m, ..means })
     }
 
-    /// Posterior mean of the common profile alone.
-    pub fn posterior_profile(&self, passages: &[SitePassage]) -> Result<CommonProfile, InverseError> {
-        let statistics = self.of_every(passages)?;
+    /// Posterior mean of the common profile alone, under the model's prior.
+    pub fn posterior_profile(&self, passages: &[Prepared]) -> Result<CommonProfile, InverseError> {
+        let statistics = self.of_prepared(passages)?;
         Ok(self.means(&statistics, &self.joint(&statistics)?.mean()).profile)
     }
 
-    /// Evidence over passages under the model's prior, which may differ from that of [`Self::prepared`] in its standard
-    /// deviations and correlations.
+    /// Evidence over passages under the model's prior.
     pub fn log_evidence(&self, passages: &[Prepared]) -> Result<f64, InverseError> {
-        let statistics =
-            passages.par_iter().map(|p| self.statistics(p)).collect::<Result<Vec<_>, InverseError>>()?;
-        Ok(self.joint(&statistics)?.log_evidence)
+        Ok(self.joint(&self.of_prepared(passages)?)?.log_evidence)
     }
 
-    /// What of the passages does not depend on hyper-parameters.
+    /// What of the passages does not depend on hyper-parameters: priors that are asked of it may differ in standard deviations
+    /// and correlations.
     pub fn prepared(&self, passages: &[SitePassage]) -> Result<Vec<Prepared>, InverseError> {
         let kinds = kinds(self.pattern);
         passages.par_iter().map(|p| self.prepare(&kinds, p)).collect()
+    }
+
+    fn of_prepared(&self, passages: &[Prepared]) -> Result<Vec<Statistics>, InverseError> {
+        passages.par_iter().map(|p| self.statistics(p)).collect()
     }
 
     fn of_every(&self, passages: &[SitePassage]) -> Result<Vec<Statistics>, InverseError> {
@@ -435,18 +437,22 @@ fn add_products(products: &mut Mat<f64>, columns: &Mat<f64>, profile: usize, fix
             products[(place(i), place(j))] += square[(i, j)];
         }
     }
+    // The groups share the fixed columns: their sum meets these once.
+    let mut sum: Mat<f64> = Mat::zeros(columns.nrows(), OWN + 1);
+    let mut within: Mat<f64> = Mat::zeros(OWN + 1, OWN + 1);
     for g in 0..groups {
         let group = columns.subcols(fixed + g * (OWN + 1), OWN + 1);
-        let across = fixed_columns.transpose() * group;
-        let within = group.transpose() * group;
-        for (a, k) in targets {
-            for i in 0..fixed {
-                let (row, column) = (a.max(place(i)), a.min(place(i)));
-                products[(row, column)] += across[(i, k)];
-            }
-            for (b, l) in targets.into_iter().filter(|(b, _)| *b <= a) {
-                products[(a, b)] += within[(k, l)];
-            }
+        sum += group;
+        within += group.transpose() * group;
+    }
+    let across = fixed_columns.transpose() * &sum;
+    for (a, k) in targets {
+        for i in 0..fixed {
+            let (row, column) = (a.max(place(i)), a.min(place(i)));
+            products[(row, column)] += across[(i, k)];
+        }
+        for (b, l) in targets.into_iter().filter(|(b, _)| *b <= a) {
+            products[(a, b)] += within[(k, l)];
         }
     }
 }

@@ -116,6 +116,27 @@ impl Prior {
         }
     }
 
+    /// As far as a wheel's own part on a rail depends on it: all else is zero.
+    pub fn of_own(&self, side: Side) -> Self {
+        let Spread { region, outside, stock } = self.own;
+        let none = Spread { region: 0.0, outside: 0.0, stock: 0.0 };
+        Self {
+            own: match side {
+                Side::Crossing => Spread { region, outside, ..none },
+                Side::Stock => Spread { stock, ..none },
+            },
+            common: none,
+            correlation_m: 0.0,
+            dip_m: 0.0,
+            dip_correlation_m: 0.0,
+            load_sd: 0.0,
+            noise_m_s2: 0.0,
+            offset_sd_m_s2: 0.0,
+            window_m: 0.0,
+            ..self.clone()
+        }
+    }
+
     /// Standard deviation of a wheel's own part at `x_m`, in the unit of the profile.
     pub fn own_sd(&self, side: Side, x_m: f64) -> f64 {
         self.along(&self.own, side, x_m)

@@ -4,16 +4,16 @@
 use std::sync::{Arc, OnceLock};
 
 use faer::linalg::matmul::matmul;
-use faer::{Accum, Mat, Par};
+use faer::{Accum, Mat, MatRef, Par};
 use rayon::prelude::*;
 
-use super::estimator::{Estimator, InverseError, Shaped};
+use super::deviations::{Deviations, Latest};
+use super::estimator::{Estimator, InverseError};
 use super::hierarchy::GroupOffsets;
 use super::prior::Prior;
 use super::profile::{CommonProfile, Shapes, WheelClass, add_scaled};
 use super::wheel::{Basis, Means, Running, SIDES, TrackModel, Wheel};
 use crate::greens::moving::{PassingResponse, own_clock_kernel};
-use crate::interaction::Contacts;
 
 /// Time after the last wheel has left the reach during which its response is still used, seconds.
 const DECAY_S: f64 = 0.03;
@@ -28,6 +28,7 @@ pub struct Train {
     pub(super) shapes: Shapes,
     pub(super) axles: Vec<Axle>,
     pub(super) groups: Vec<Group>,
+    latest: Latest,
 }
 
 /// One axle behind the first of a group.
@@ -85,6 +86,7 @@ impl Train {
             shapes: common.grids.shapes(running.speed_m_s),
             axles: Vec::new(),
             groups: Vec::new(),
+            latest: Latest::default(),
         };
         let axles = train.add_axles(model, &expectation.standing, groups, &windows, common);
         for ((offsets, window), axles) in groups.iter().zip(windows).zip(axles) {
@@ -168,7 +170,7 @@ impl Train {
                         matmul(out.as_mut(), Accum::Add, kernel, basis, 1.0, Par::Seq);
                     }
                     Basis::Splines(splines) => {
-                        let response = kernel * &splines[rail];
+                        let response = times_sparse(kernel, &splines[rail]);
                         for (column, sign) in self.shapes.of(side, axle.class.leading) {
                             for c in 0..response.ncols() {
                                 add_scaled(out.col_mut(column + c), response.col(c), sign);
@@ -183,30 +185,29 @@ impl Train {
 
     /// Estimators of all groups under a prior.
     pub fn estimators(self: &Arc<Self>, prior: &Prior) -> Result<Vec<Estimator>, InverseError> {
-        let (root_n, shaped) = self.shaped(prior)?;
-        (0..self.groups.len())
-            .into_par_iter()
-            .map(|g| Estimator::of_group(self, g, prior, &root_n, &shaped))
-            .collect()
+        let own = self.deviations(prior)?;
+        (0..self.groups.len()).into_par_iter().map(|g| Estimator::of_group(self, g, prior, &own)).collect()
     }
 
-    /// Factors of the covariance of a wheel's own deviation, and what the sensor shows of it, per axle.
-    pub(super) fn shaped(&self, prior: &Prior) -> Result<(Arc<Contacts>, Arc<Vec<Shaped>>), InverseError> {
+    /// How the wheels deviate under a prior, `[crossing, stock]`.
+    pub(super) fn deviations(&self, prior: &Prior) -> Result<[Arc<Deviations>; 2], InverseError> {
         let bad = || InverseError::Covariance {
             len: self.groups.iter().map(|g| g.window.len).max().unwrap_or(0),
             noise_m_s2: prior.noise_m_s2,
         };
-        let root_n = self.wheel.roots_n(prior).ok_or_else(bad)?;
-        let shaped: Vec<Shaped> = self
-            .axles
-            .par_iter()
-            .map(|axle| {
-                let roots = &root_n[usize::from(!axle.class.leading)];
-                [0, 1].map(|rail: usize| self.wheel.shaped(&axle.kernels[rail], &roots[rail]))
-            })
-            .collect();
-        Ok((Arc::new(root_n), Arc::new(shaped)))
+        self.latest.under(prior, &self.wheel, &self.axles).ok_or_else(bad)
     }
+}
+
+/// Product with a matrix of mostly zeros: four splines meet at a position.
+fn times_sparse(matrix: MatRef<'_, f64>, sparse: &Mat<f64>) -> Mat<f64> {
+    let mut out = Mat::zeros(matrix.nrows(), sparse.ncols());
+    for c in 0..sparse.ncols() {
+        for (j, value) in sparse.col_as_slice(c).iter().enumerate() {
+            add_scaled(out.col_mut(c), matrix.col(j), *value);
+        }
+    }
+    out
 }
 
 /// Extent of the window of a group.

@@ -122,26 +122,20 @@ impl Wheel {
         }
     }
 
-    /// Factors of the covariance of the wheel's own deviation, N: `[leading, trailing][crossing, stock]`. `None` if a
-    /// covariance is not finite.
-    pub(super) fn roots_n(&self, prior: &Prior) -> Option<Contacts> {
+    /// Factors of the covariance of the wheel's own deviation on a rail, N: `[leading, trailing]`. `None` if it is not
+    /// finite.
+    pub(super) fn roots_n(&self, prior: &Prior, rail: usize) -> Option<[Mat<f64>; 2]> {
         match &self.own {
             Own::Force => {
                 let step = 1.0 / (self.rate_hz * prior.correlation_s);
-                let root = |side: Side| {
-                    let sd_n: Vec<f64> = self.position_m.iter().map(|x| prior.own_sd(side, *x)).collect();
-                    prior.covariance_factor(&self.position_m, &sd_n, step)
-                };
-                let roots = [root(Side::Crossing)?, root(Side::Stock)?];
-                Some([roots.clone(), roots])
+                let sd_n: Vec<f64> = self.position_m.iter().map(|x| prior.own_sd(SIDES[rail], *x)).collect();
+                let root = prior.covariance_factor(&self.position_m, &sd_n, step)?;
+                Some([root.clone(), root])
             }
             Own::Irregularity(alone_n_m) => {
                 let step = self.speed_m_s / (self.rate_hz * prior.own_correlation_m);
-                let path = |side: Side| prior.path_factor(&self.position_m, side, step);
-                let paths = [path(Side::Crossing)?, path(Side::Stock)?];
-                Some([0, 1].map(|axle: usize| {
-                    [0, 1].map(|rail: usize| times_lower(alone_n_m[axle][rail].as_ref(), &paths[rail]))
-                }))
+                let path = prior.path_factor(&self.position_m, SIDES[rail], step)?;
+                Some([0, 1].map(|axle: usize| times_lower(alone_n_m[axle][rail].as_ref(), &path)))
             }
         }
     }

@@ -198,6 +198,13 @@ fn regress_a_stock_rail_as_rough_as_rails_are_leaves_no_gap() {
     assert_eq!(found.verdict, Verdict::NoGap, "{:?}", found.remarks);
 }
 
+/// Wheels that happened to differ on seven passages of eleven passed for softer pads, which the other four deny.
+#[test]
+fn regress_what_some_passages_deny_is_not_named() {
+    let found = among(&recorded(&trial(26, 115, &[])), &["pad-stiffness"]);
+    assert_eq!(found.verdict, Verdict::NoGap, "{:?} {:?}", found.effects, found.remarks);
+}
+
 /// Ballast takes over what soft pads do, and leaves no gap where pads are not in the catalogue.
 #[test]
 fn regress_ballast_that_no_bed_has_is_told() {

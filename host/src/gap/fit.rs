@@ -71,10 +71,10 @@ pub struct Fit {
 impl Fit {
     /// Squared misfit per value, at least 1: how far the model is from explaining the mean windows.
     pub fn inflation(&self) -> f64 {
-        let (sum, n) = self.passages.iter().fold((0.0, 0.0), |(s, n), p| {
-            let r = p.residual.col_as_slice(0);
-            (s + r.iter().map(|v| v * v).sum::<f64>(), n + r.len() as f64)
-        });
+        let (sum, n) = self
+            .passages
+            .iter()
+            .fold((0.0, 0.0), |(s, n), p| (s + p.squares(), n + p.residual.nrows() as f64));
         (sum / n).max(1.0)
     }
 
@@ -97,6 +97,13 @@ pub struct Whitened {
     pub columns: Mat<f64>,
     /// Residual.
     pub residual: Mat<f64>,
+}
+
+impl Whitened {
+    /// Of the residual.
+    pub fn squares(&self) -> f64 {
+        self.residual.col_as_slice(0).iter().map(|v| v * v).sum()
+    }
 }
 
 /// Steps of the numerical derivatives.

@@ -8,7 +8,7 @@ use crate::gap::GapError;
 use crate::gap::base::fit_variation;
 use crate::gap::data::{energies, own_energy};
 use crate::gap::effect::{ActsOn, Effect, Stage};
-use crate::gap::fit::{Fit, FitOptions, State, fit, settled, simulate};
+use crate::gap::fit::{Fit, FitOptions, State, Whitened, fit, settled, simulate};
 use crate::gap::forward::Response;
 use crate::gap::latent::{LatentFit, Scene};
 use crate::gap::measure::{self, ALIGN_M, Missed, Prediction};
@@ -122,7 +122,7 @@ impl Session<'_> {
         progress.step();
         let lost = reference.lost();
         let mut list = self.candidates(&tried, &reference, &latent)?;
-        let misfit: f64 = reference.passages.iter().map(|p| squares(&p.residual)).sum();
+        let misfit: f64 = reference.passages.iter().map(Whitened::squares).sum();
         let rings = self.rings(&reference.state);
         for c in &mut list {
             let of_ringing = rings && c.acts_on == ActsOn::Wheels;
@@ -382,10 +382,6 @@ fn displacement_share(scene: &Scene, found: &LatentFit) -> f64 {
         (before, after) = (before + energy(residual), after + energy(&left));
     }
     1.0 - after / before.max(f64::MIN_POSITIVE)
-}
-
-fn squares(m: &faer::Mat<f64>) -> f64 {
-    m.col_as_slice(0).iter().map(|v| v * v).sum()
 }
 
 /// Cosines between the best directions of all pairs of effects.

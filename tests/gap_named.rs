@@ -6,8 +6,8 @@ use cpcm::gap::effect::Stage;
 use cpcm::gap::verdict::Verdict;
 use cpcm::recording::{Format, read_site, write_site};
 use cpcm::scenario::effects::{
-    BallastStiffening, BiasSteps, Factor, FrontRear, HollowWheels, Mount, PadStiffness, Saturation, Tonal,
-    WheelOutOfRoundness,
+    BallastMass, BallastStiffening, BiasSteps, Factor, FrontRear, HollowWheels, Mount, PadStiffness,
+    Saturation, StockIrregularity, Tonal, WheelOutOfRoundness,
 };
 use cpcm::scenario::{Effects, read_scenario};
 use cpcm_tests::diagnosed::{among, full, named, quick, recorded, says, trial};
@@ -203,6 +203,21 @@ fn regress_a_stock_rail_as_rough_as_rails_are_leaves_no_gap() {
 fn regress_what_some_passages_deny_is_not_named() {
     let found = among(&recorded(&trial(26, 115, &[])), &["pad-stiffness"]);
     assert_eq!(found.verdict, Verdict::NoGap, "{:?} {:?}", found.effects, found.remarks);
+}
+
+/// Neither a dip in the stock rail nor ballast that moves with the sleepers leaves a lost model less lost without the other.
+#[test]
+fn regress_two_effects_that_show_only_together_are_both_named() {
+    let both = ["stock-irregularity", "ballast-mass"];
+    let mut scenario = trial(27, 47, &both);
+    let stock_irregularity = Some(StockIrregularity { depth_m: 0.626e-3, at_x_m: 0.33, length_m: 0.4 });
+    let ballast_mass = Some(BallastMass { mass_kg_m: 777.3 });
+    scenario.simulation.effects = Effects { stock_irregularity, ballast_mass, ..Effects::default() };
+    let found = among(&recorded(&scenario), &both);
+    let mut named = named(&found);
+    named.sort_unstable();
+    assert_eq!(named, ["ballast-mass", "stock-irregularity"], "{:?} {:?}", found.verdict, found.remarks);
+    assert!(found.gap.closed_fraction > tolerance::TOGETHER_CLOSED, "{:?}", found.gap);
 }
 
 /// Ballast takes over what soft pads do, and leaves no gap where pads are not in the catalogue.

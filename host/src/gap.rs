@@ -23,6 +23,7 @@ pub mod results;
 pub mod select;
 pub mod splines;
 pub mod split;
+pub mod together;
 pub mod trains;
 pub mod trial;
 pub mod variation;

@@ -1,6 +1,7 @@
 //! The diagnosis of a site: base model, search for effects, verdict, and what is left of the gap on held-out passages.
 
 mod afresh;
+mod both;
 mod candidates;
 mod conclusion;
 mod plausible;

@@ -15,6 +15,16 @@ pub struct Tried<'e> {
     pub screened: f64,
     /// Fit, where the screening was passed.
     pub fit: Option<Fit>,
+    /// Where it leads alone, where all were scouted.
+    pub valley: Option<Valley>,
+}
+
+/// Deepest of the valleys in which an effect has stayed that was scouted from all its starts.
+pub struct Valley {
+    /// Its bottom, by the few passages that are scouted.
+    pub state: State,
+    /// Squared misfit per value there.
+    pub misfit: f64,
 }
 
 /// Candidates that are fitted at most in the first round, and in later ones.
@@ -24,6 +34,8 @@ const FITTED_FROM_AFAR: usize = 3;
 /// Log evidence per independent look, of the few passages that are scouted, by which a candidate is beyond doubt worse than the
 /// best.
 const BEYOND_DOUBT: f64 = 150.0;
+/// Part of the way from nought to its start that is left of an effect which stays in a valley of its own.
+const STAYED: f64 = 0.5;
 /// Least expected gain for a fit; an effect that is worth naming gains several times as much.
 const LEAST_GAIN: f64 = 4.0;
 /// A candidate is not fitted when its expected gain is below this part of the largest.
@@ -62,12 +74,13 @@ pub fn round<'e>(
     order.sort_by(|a, b| b.1.total_cmp(&a.1));
     let with =
         |e: usize| -> Vec<&'e dyn Effect> { accepted.iter().copied().chain([candidates[e]]).collect() };
-    let mut fits = if let Some(afar) = from_afar {
+    let none = || order.iter().map(|_| None).collect();
+    let (mut fits, valleys) = if let Some(afar) = from_afar {
         fits_from_afar(frame, afar, &order, &with, hints, subset)
     } else {
         let largest = order.first().map_or(0.0, |o| o.1);
         let most = if accepted.is_empty() { FITTED.0 } else { FITTED.1 };
-        order
+        let fits = order
             .iter()
             .enumerate()
             .map(|(rank, (e, gain, start))| {
@@ -75,15 +88,16 @@ pub fn round<'e>(
                 let starts = candidates[*e].starts(hints);
                 passes.then(|| candidate(frame, &with(*e), state, &starts, *start, subset)).flatten()
             })
-            .collect()
+            .collect();
+        (fits, none())
     };
     if let Some(afresh) = afresh {
-        prefer_what_mends(&mut fits, fits_from_afar(frame, afresh, &order, &with, hints, subset), frame);
+        prefer_what_mends(&mut fits, fits_from_afar(frame, afresh, &order, &with, hints, subset).0, frame);
     }
     let tried = order
         .into_iter()
-        .zip(fits)
-        .map(|((e, screened, _), fit)| Tried { effect: candidates[e], screened, fit })
+        .zip(fits.into_iter().zip(valleys))
+        .map(|((e, screened, _), (fit, valley))| Tried { effect: candidates[e], screened, fit, valley })
         .collect();
     Ok((tried, screening))
 }
@@ -100,7 +114,7 @@ fn prefer_what_mends(fits: &mut [Option<Fit>], afresh: Vec<Option<Fit>>, frame: 
 }
 
 /// Fits in the order of `order`: every candidate is scouted from all its starts, and the most promising are fitted; the best of
-/// them, where it is lost, from all its starts.
+/// them, where it is lost, from all its starts. With them the valleys that were seen.
 fn fits_from_afar<'e>(
     frame: &Frame,
     state: &State,
@@ -108,12 +122,17 @@ fn fits_from_afar<'e>(
     with: &(dyn Fn(usize) -> Vec<&'e dyn Effect> + Sync),
     hints: &Hints,
     subset: &[usize],
-) -> Vec<Option<Fit>> {
+) -> (Vec<Option<Fit>>, Vec<Option<Valley>>) {
     let few = few_of(subset);
-    let scouted: Vec<Option<Fit>> = order
+    let (scouted, valleys): (Vec<Option<Fit>>, Vec<Option<Valley>>) = order
         .par_iter()
-        .map(|(e, ..)| deepest_from_afar(frame, state, &with(*e), hints, &few, SCOUT))
-        .collect();
+        .map(|(e, ..)| {
+            let list = with(*e);
+            let found = from_far_starts(frame, state, &list, hints, &few, SCOUT);
+            let valley = valley(&list, &found);
+            (found.into_iter().map(|(_, fit)| fit).max_by(by_evidence), valley)
+        })
+        .unzip();
     let mut best: Vec<usize> = (0..order.len()).filter(|k| scouted[*k].is_some()).collect();
     let evidence = |k: &usize| scouted[*k].as_ref().map_or(f64::NEG_INFINITY, |f| f.log_evidence);
     best.sort_by(|a, b| evidence(b).total_cmp(&evidence(a)));
@@ -139,7 +158,29 @@ fn fits_from_afar<'e>(
         let again = from_every_start(frame, state, &with(order[k].0), hints, subset);
         fits[k] = fits[k].take().into_iter().chain(again).max_by(by_evidence);
     }
-    fits
+    (fits, valleys)
+}
+
+/// The deepest valley in which the last effect of `list` has stayed.
+fn valley(list: &[&dyn Effect], found: &[(Vec<f64>, Fit)]) -> Option<Valley> {
+    let effect = list.last()?;
+    let there = |(start, fit): &&(Vec<f64>, Fit)| {
+        fit.state.effects.last().is_some_and(|now| stayed(*effect, start, now))
+    };
+    let deepest = |a: &&(Vec<f64>, Fit), b: &&(Vec<f64>, Fit)| a.1.inflation().total_cmp(&b.1.inflation());
+    let (_, fit) = found.iter().filter(there).min_by(deepest)?;
+    Some(Valley { state: fit.state.clone(), misfit: fit.inflation() })
+}
+
+/// Whether an effect is still on the way from nought to where it started, and has not fallen back to where there is none.
+fn stayed(effect: &dyn Effect, start: &[f64], now: &[f64]) -> bool {
+    let Some(nought) = effect.nought() else { return true };
+    let (mut along, mut length) = (0.0, 0.0);
+    for ((start, now), nought) in start.iter().zip(now).zip(&nought).take(effect.sizes()) {
+        along += (start - nought) * (now - nought);
+        length += (start - nought).powi(2);
+    }
+    length > 0.0 && along >= STAYED * length
 }
 
 /// Thorough fit that continues the best of shorter ones from all starts of the only effect of `list`, where that does not
@@ -155,11 +196,11 @@ fn from_every_start(
     if effect.nought().is_some() {
         return None;
     }
-    let best = deepest_from_afar(frame, state, list, hints, subset, VALLEY)?;
-    fit(frame, list, best.state, subset, FitOptions::THOROUGH).ok()
+    let found = from_far_starts(frame, state, list, hints, subset, VALLEY).into_iter().map(|(_, fit)| fit);
+    fit(frame, list, found.max_by(by_evidence)?.state, subset, FitOptions::THOROUGH).ok()
 }
 
-fn by_evidence(a: &Fit, b: &Fit) -> std::cmp::Ordering {
+pub(super) fn by_evidence(a: &Fit, b: &Fit) -> std::cmp::Ordering {
     a.log_evidence.total_cmp(&b.log_evidence)
 }
 
@@ -196,7 +237,7 @@ fn started(state: &State, coordinates: &[f64]) -> State {
 }
 
 /// Fit from a start with the passages where that predicts them.
-fn fit_in_place(
+pub(super) fn fit_in_place(
     frame: &Frame,
     list: &[&dyn Effect],
     start: State,
@@ -206,20 +247,35 @@ fn fit_in_place(
     fit(frame, list, replaced(frame, list, start, subset), subset, options).ok()
 }
 
-/// Best of such fits from all far starts of the last effect of `list`.
-fn deepest_from_afar(
+/// Such fits from all far starts of the last effect of `list`, with those starts.
+fn from_far_starts(
     frame: &Frame,
     state: &State,
     list: &[&dyn Effect],
     hints: &Hints,
     subset: &[usize],
     options: FitOptions,
-) -> Option<Fit> {
-    let starts = list.last()?.far_starts(hints);
+) -> Vec<(Vec<f64>, Fit)> {
+    let starts = list.last().map_or_else(Vec::new, |e| e.far_starts(hints));
     starts
         .into_par_iter()
-        .filter_map(|c| fit_in_place(frame, list, started(state, &c), subset, options))
-        .max_by(by_evidence)
+        .filter_map(|c| {
+            let fit = fit_in_place(frame, list, started(state, &c), subset, options)?;
+            Some((c, fit))
+        })
+        .collect()
+}
+
+/// Most probable of the scouts' fits from all far starts of the last effect of `list`, to the few passages that are scouted.
+pub(super) fn scouted(
+    frame: &Frame,
+    state: &State,
+    list: &[&dyn Effect],
+    hints: &Hints,
+    subset: &[usize],
+) -> Option<Fit> {
+    let found = from_far_starts(frame, state, list, hints, &few_of(subset), SCOUT);
+    found.into_iter().map(|(_, fit)| fit).max_by(by_evidence)
 }
 
 /// The passages that are scouted.

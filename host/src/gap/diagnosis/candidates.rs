@@ -117,10 +117,11 @@ impl Session<'_> {
             mends: astray && fit.is_some_and(|f| f.state.common(&self.base.frame)),
             full: fit.is_some_and(|f| {
                 // A strength at the end of its range is no strength but a fit that found no other way.
-                inside_ranges(t.effect, f)
+                inside_ranges(t.effect, f, self.accepted.len())
                     && large_enough(t.effect, f, self.accepted.len(), inflation)
                     && self.borne_out(t.effect)
-                    && on_every_passage(reference, f)
+                    // What is still lost has not found its place on every passage.
+                    && (f.lost() || on_every_passage(reference, f))
                     // What the hammer denies as firmly as an effect must show itself is not there.
                     && heard > -LEAST_GAIN
             }),

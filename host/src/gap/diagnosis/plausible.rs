@@ -235,9 +235,9 @@ pub(super) fn large_enough(effect: &dyn Effect, fit: &Fit, index: usize, inflati
     })
 }
 
-/// Whether the last effect of a fit is away from the ends of its ranges.
-pub(super) fn inside_ranges(effect: &dyn Effect, fit: &Fit) -> bool {
-    let Some(coordinates) = fit.state.effects.last() else { return true };
+/// Whether an effect of a fit, the one at `index`, is away from the ends of its ranges.
+pub(super) fn inside_ranges(effect: &dyn Effect, fit: &Fit, index: usize) -> bool {
+    let Some(coordinates) = fit.state.effects.get(index) else { return true };
     effect
         .parameters()
         .iter()

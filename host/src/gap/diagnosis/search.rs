@@ -42,6 +42,10 @@ pub(super) struct Confirmed {
 impl Session<'_> {
     pub(super) fn search(&mut self, progress: &dyn Progress) -> Result<(), GapError> {
         for number in self.named.len()..MOST_EFFECTS {
+            // A round can take two effects.
+            if self.named.len() >= MOST_EFFECTS {
+                break;
+            }
             progress.begin(&format!("effects, round {}", number + 1), 2);
             if !self.one_round(progress)? {
                 break;
@@ -122,6 +126,13 @@ impl Session<'_> {
         progress.step();
         let lost = reference.lost();
         let mut list = self.candidates(&tried, &reference, &latent)?;
+        let astray = lost && tried.iter().filter_map(|t| t.fit.as_ref()).all(Fit::lost);
+        if astray
+            && self.accepted.is_empty()
+            && self.accept_together(&mut list, &tried, &reference, progress)?
+        {
+            return Ok(true);
+        }
         let misfit: f64 = reference.passages.iter().map(Whitened::squares).sum();
         let rings = self.rings(&reference.state);
         for c in &mut list {
@@ -339,7 +350,7 @@ impl Session<'_> {
     }
 
     /// Probabilities of a round; an effect keeps its best.
-    fn rank(&mut self, list: &[Candidate]) {
+    pub(super) fn rank(&mut self, list: &[Candidate]) {
         let top = list.iter().map(|c| c.gain).fold(LEAST_GAIN, f64::max);
         let weight = |g: f64| ((g - top) / PROBABILITY_SCALE).exp();
         // Without a sufficient gain nothing acts.

@@ -51,6 +51,12 @@ impl Effect for MountResonance {
         vec![vec![0.6, 1.0], vec![0.4, 0.5]]
     }
 
+    fn far_starts(&self, hints: &Hints) -> Vec<Vec<f64>> {
+        // From above, a lost model does not lead down to a light mount's resonance: 450, 300 and 230 Hz.
+        let within = [vec![0.12, 0.0], vec![-0.29, 0.0], vec![-0.55, 0.0]];
+        self.starts(hints).into_iter().chain(within).collect()
+    }
+
     fn apply(&self, world: &mut World, values: &[f64]) {
         world.sensor.mount = Some((values[0], values[1]));
     }

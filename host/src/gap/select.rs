@@ -74,7 +74,6 @@ pub fn round<'e>(
     order.sort_by(|a, b| b.1.total_cmp(&a.1));
     let with =
         |e: usize| -> Vec<&'e dyn Effect> { accepted.iter().copied().chain([candidates[e]]).collect() };
-    let none = || order.iter().map(|_| None).collect();
     let (mut fits, valleys) = if let Some(afar) = from_afar {
         fits_from_afar(frame, afar, &order, &with, hints, subset)
     } else {
@@ -89,7 +88,7 @@ pub fn round<'e>(
                 passes.then(|| candidate(frame, &with(*e), state, &starts, *start, subset)).flatten()
             })
             .collect();
-        (fits, none())
+        (fits, order.iter().map(|_| None).collect())
     };
     if let Some(afresh) = afresh {
         prefer_what_mends(&mut fits, fits_from_afar(frame, afresh, &order, &with, hints, subset).0, frame);

@@ -2,7 +2,7 @@
 
 use super::candidates::Candidate;
 use super::plausible::{inside_ranges, large_enough};
-use super::{LEAST_GAIN, MOST_SURE, Named, Session};
+use super::{LEAST_GAIN, Session};
 use crate::gap::GapError;
 use crate::gap::effect::Effect;
 use crate::gap::fit::{Fit, State};
@@ -30,20 +30,14 @@ impl Session<'_> {
             return Ok(false);
         }
         let gain = (fit.log_evidence - reference.log_evidence) / reference.inflation();
-        for c in list.iter_mut() {
-            let named = pair.iter().any(|e| e.name() == c.name);
-            c.gain = if named { gain } else { c.gain.min(0.5 * LEAST_GAIN) };
-        }
-        self.rank(list);
+        // One is no alternative to the other.
         for effect in pair {
-            self.named.push(Named {
-                name: effect.name(),
-                stage: effect.stage(),
-                probability: MOST_SURE,
-                parameters: Vec::new(),
-                indistinguishable_from: Vec::new(),
-                gained: f64::NAN,
-            });
+            for c in list.iter_mut() {
+                c.gain = if c.name == effect.name() { gain } else { c.gain.min(0.5 * LEAST_GAIN) };
+            }
+            self.rank(list);
+            let named = self.newly_named(effect.name(), effect.stage());
+            self.named.push(named);
         }
         self.accepted = pair.to_vec();
         self.fit = Some(fit);

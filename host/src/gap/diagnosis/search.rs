@@ -270,15 +270,7 @@ impl Session<'_> {
             .filter(|c| c.full && best.gain - c.gain < same_gain(best.gain))
             .map(|c| c.name)
             .collect();
-        let probability = self.ranking.iter().find(|r| r.name == name).map_or(MOST_SURE, |r| r.probability);
-        let mut named = Named {
-            name,
-            stage: best.stage,
-            probability,
-            parameters: Vec::new(),
-            indistinguishable_from: same,
-            gained: f64::NAN,
-        };
+        let mut named = Named { indistinguishable_from: same, ..self.newly_named(name, best.stage) };
         if let Some(t) = tried.iter_mut().find(|t| t.effect.name() == name) {
             self.accepted.push(t.effect);
             self.fit = t.fit.take();
@@ -291,6 +283,19 @@ impl Session<'_> {
         }
         self.named.push(named);
         Ok(())
+    }
+
+    /// An effect that is named as surely as it is ranked.
+    pub(super) fn newly_named(&self, name: &'static str, stage: Stage) -> Named {
+        let ranked = self.ranking.iter().find(|r| r.name == name);
+        Named {
+            name,
+            stage,
+            probability: ranked.map_or(MOST_SURE, |r| r.probability),
+            parameters: Vec::new(),
+            indistinguishable_from: Vec::new(),
+            gained: f64::NAN,
+        }
     }
 
     /// What the current model misses of the training passages, `[acceleration, displacement]`.

@@ -129,7 +129,7 @@ fn fits_from_afar<'e>(
             let list = with(*e);
             let found = from_far_starts(frame, state, &list, hints, &few, SCOUT);
             let valley = valley(&list, &found);
-            (found.into_iter().map(|(_, fit)| fit).max_by(by_evidence), valley)
+            (most_probable(found), valley)
         })
         .unzip();
     let mut best: Vec<usize> = (0..order.len()).filter(|k| scouted[*k].is_some()).collect();
@@ -195,8 +195,8 @@ fn from_every_start(
     if effect.nought().is_some() {
         return None;
     }
-    let found = from_far_starts(frame, state, list, hints, subset, VALLEY).into_iter().map(|(_, fit)| fit);
-    fit(frame, list, found.max_by(by_evidence)?.state, subset, FitOptions::THOROUGH).ok()
+    let best = most_probable(from_far_starts(frame, state, list, hints, subset, VALLEY))?;
+    fit(frame, list, best.state, subset, FitOptions::THOROUGH).ok()
 }
 
 pub(super) fn by_evidence(a: &Fit, b: &Fit) -> std::cmp::Ordering {
@@ -247,7 +247,7 @@ pub(super) fn fit_in_place(
 }
 
 /// Such fits from all far starts of the last effect of `list`, with those starts.
-fn from_far_starts(
+pub(super) fn from_far_starts(
     frame: &Frame,
     state: &State,
     list: &[&dyn Effect],
@@ -265,27 +265,20 @@ fn from_far_starts(
         .collect()
 }
 
-/// Most probable of the scouts' fits from all far starts of the last effect of `list`, to the few passages that are scouted.
-pub(super) fn scouted(
-    frame: &Frame,
-    state: &State,
-    list: &[&dyn Effect],
-    hints: &Hints,
-    subset: &[usize],
-) -> Option<Fit> {
-    let found = from_far_starts(frame, state, list, hints, &few_of(subset), SCOUT);
+/// The most probable of fits with their starts.
+pub(super) fn most_probable(found: Vec<(Vec<f64>, Fit)>) -> Option<Fit> {
     found.into_iter().map(|(_, fit)| fit).max_by(by_evidence)
 }
 
 /// The passages that are scouted.
-fn few_of(subset: &[usize]) -> Vec<usize> {
+pub(super) fn few_of(subset: &[usize]) -> Vec<usize> {
     subset.iter().copied().step_by(subset.len().div_ceil(SCOUTED).max(1)).collect()
 }
 
 /// Near the base model the first derivatives hold; what is accepted is fitted again.
 const SMOOTH: FitOptions = FitOptions { steps: 8, renew: 3, tolerance: 0.5, damped: false };
 /// An effect that does not begin smoothly is looked for from all its starts in a few passages first.
-const SCOUT: FitOptions = FitOptions { steps: 6, renew: 3, tolerance: 3.0, damped: false };
+pub(super) const SCOUT: FitOptions = FitOptions { steps: 6, renew: 3, tolerance: 3.0, damped: false };
 const SCOUTED: usize = 3;
 /// As many steps with all passages tell which valley is the deepest.
 const VALLEY: FitOptions = FitOptions { steps: 6, renew: 4, tolerance: 3.0, damped: false };

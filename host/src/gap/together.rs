@@ -8,7 +8,7 @@ use rayon::prelude::*;
 
 use super::effect::{Effect, Hints};
 use super::fit::{Fit, FitOptions, Frame};
-use super::select::{Tried, by_evidence, fit_in_place, scouted};
+use super::select::{SCOUT, Tried, by_evidence, few_of, fit_in_place, from_far_starts, most_probable};
 
 /// Valleys from which a second effect is looked for, one of every effect at most.
 const VALLEYS: usize = 4;
@@ -25,12 +25,16 @@ pub fn together<'e>(
     hints: &Hints,
     subset: &[usize],
 ) -> Option<([&'e dyn Effect; 2], Fit)> {
+    let few = few_of(subset);
     let mut best: Option<([&'e dyn Effect; 2], Fit)> = None;
     for (first, valley) in deepest(frame, lost, alone, subset) {
         let state = valley.state.on_the_scan();
         let others = alone.par_iter().map(|t| t.effect).filter(|e| e.name() != first.name());
         let scouted = others
-            .filter_map(|e| Some(([first, e], scouted(frame, &state, &[first, e], hints, subset)?)))
+            .filter_map(|e| {
+                let pair = [first, e];
+                Some((pair, most_probable(from_far_starts(frame, &state, &pair, hints, &few, SCOUT))?))
+            })
             .max_by(|a, b| by_evidence(&a.1, &b.1));
         let found = best.into_iter().chain(scouted);
         best = found.min_by(|a, b| a.1.inflation().total_cmp(&b.1.inflation()));

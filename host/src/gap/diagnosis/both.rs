@@ -1,11 +1,10 @@
 //! Two effects of the panel that are found at once, where no single one leads out of a lost model.
 
 use super::candidates::Candidate;
-use super::plausible::{inside_ranges, large_enough};
 use super::{LEAST_GAIN, Session};
 use crate::gap::GapError;
 use crate::gap::effect::Effect;
-use crate::gap::fit::{Fit, State};
+use crate::gap::fit::Fit;
 use crate::gap::select::Tried;
 use crate::gap::together::together;
 use crate::progress::Progress;
@@ -21,11 +20,9 @@ impl Session<'_> {
     ) -> Result<bool, GapError> {
         progress.begin("effects, two at once", 1);
         let frame = &self.base.frame;
-        let Some((pair, fit)) = together(frame, reference, tried, &self.hints, self.search) else {
-            progress.step();
-            return Ok(false);
-        };
+        let found = together(frame, reference, tried, &self.hints, self.search);
         progress.step();
+        let Some((pair, fit)) = found else { return Ok(false) };
         if !self.tenable(&pair, &fit, reference)? {
             return Ok(false);
         }
@@ -42,24 +39,16 @@ impl Session<'_> {
         self.accepted = pair.to_vec();
         self.fit = Some(fit);
         self.prune()?;
-        self.relinearise()?;
-        self.review_wheels()?;
+        self.look_again(true)?;
         Ok(true)
     }
 
     /// Whether a pair is on a track as there are, each effect of it sizeable, and nothing that the hammer denies.
     fn tenable(&self, pair: &[&'static dyn Effect; 2], fit: &Fit, reference: &Fit) -> Result<bool, GapError> {
-        let frame = &self.base.frame;
-        let sizeable = pair.iter().enumerate().all(|(k, e)| {
-            self.borne_out(*e) && inside_ranges(*e, fit, k) && large_enough(*e, fit, k, fit.inflation())
-        });
-        if !sizeable || fit.state.implausible(frame) {
+        let sizeable = pair.iter().enumerate().all(|(k, e)| self.sizeable(*e, (fit, k), fit.inflation()));
+        if !sizeable || fit.state.implausible(&self.base.frame) {
             return Ok(false);
         }
-        let Some(hammer) = self.hammer else { return Ok(true) };
-        let heard = |state: &State, effects: &[&'static dyn Effect]| {
-            hammer.log_likelihood(&state.world(frame, effects))
-        };
-        Ok(heard(&fit.state, pair)? - heard(&reference.state, &[])? > -LEAST_GAIN)
+        Ok(self.heard_of(&fit.state, pair)? - self.heard_of(&reference.state, &[])? > -LEAST_GAIN)
     }
 }

@@ -120,10 +120,7 @@ impl Session<'_> {
             relief: misfit_gain / inflation + heard,
             mends: astray && fit.is_some_and(|f| f.state.common(&self.base.frame)),
             full: fit.is_some_and(|f| {
-                // A strength at the end of its range is no strength but a fit that found no other way.
-                inside_ranges(t.effect, f, self.accepted.len())
-                    && large_enough(t.effect, f, self.accepted.len(), inflation)
-                    && self.borne_out(t.effect)
+                self.sizeable(t.effect, (f, self.accepted.len()), inflation)
                     // What is still lost has not found its place on every passage.
                     && (f.lost() || on_every_passage(reference, f))
                     // What the hammer denies as firmly as an effect must show itself is not there.
@@ -169,20 +166,30 @@ impl Session<'_> {
         Candidate { gain, full, apart, ..nothing }
     }
 
+    /// Whether an effect, the one at `index` of a fit, has a size that it can be told by, and is borne out by what is recorded beside the
+    /// acceleration.
+    pub(super) fn sizeable(&self, effect: &dyn Effect, (fit, index): (&Fit, usize), inflation: f64) -> bool {
+        // A strength at the end of its range is no strength but a fit that found no other way.
+        inside_ranges(effect, fit, index)
+            && large_enough(effect, fit, index, inflation)
+            && self.borne_out(effect)
+    }
+
     /// Gain of every fit in the log likelihood of the measured receptance; nought without one.
     fn heard(&self, tried: &[Tried<'static>], reference: &Fit) -> Result<Vec<f64>, GapError> {
-        let Some(hammer) = self.hammer else { return Ok(vec![0.0; tried.len()]) };
-        let of = |state: &State, effects: &[&'static dyn Effect]| {
-            hammer.log_likelihood(&state.world(&self.base.frame, effects))
-        };
-        let before = of(&reference.state, &self.accepted)?;
+        let before = self.heard_of(&reference.state, &self.accepted)?;
         tried
             .iter()
             .map(|t| {
                 let Some(fit) = &t.fit else { return Ok(0.0) };
-                Ok(of(&fit.state, &[self.accepted.as_slice(), &[t.effect]].concat())? - before)
+                Ok(self.heard_of(&fit.state, &[self.accepted.as_slice(), &[t.effect]].concat())? - before)
             })
             .collect()
+    }
+
+    /// Log likelihood of the measured receptance with `effects` in a state; nought without one.
+    pub(super) fn heard_of(&self, state: &State, effects: &[&'static dyn Effect]) -> Result<f64, GapError> {
+        self.hammer.map_or(Ok(0.0), |h| h.log_likelihood(&state.world(&self.base.frame, effects)))
     }
 
     /// Energy that an effect adds to the windows, relative to that of the wheels' scatter and of the noise.

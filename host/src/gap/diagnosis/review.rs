@@ -34,10 +34,18 @@ impl Session<'_> {
         Ok(())
     }
 
+    /// After an effect of the panel: what was found around the model without it, linearised `anew` where that was another track.
+    pub(super) fn look_again(&mut self, anew: bool) -> Result<(), GapError> {
+        if anew {
+            self.relinearise()?;
+        }
+        self.review_wheels()
+    }
+
     /// Linearises anew around an effect of the panel without which the model was lost: derivatives by the path, and what wheels do by
     /// nature, were those of another track. Over a bed that is not linear no derivative holds far enough: around a void, wheels' scatter
     /// passed for flats.
-    pub(super) fn relinearise(&mut self) -> Result<(), GapError> {
+    fn relinearise(&mut self) -> Result<(), GapError> {
         let state = self.state();
         if !state.world(&self.base.frame, &self.accepted).bed.is_linear() {
             return Ok(());
@@ -55,7 +63,7 @@ impl Session<'_> {
 
     /// Looks for effects of wheels again, with the effect of the panel that was found after them in the model: wheels scatter
     /// otherwise over a panel that the model did not know, and what they were thought to have may be that.
-    pub(super) fn review_wheels(&mut self) -> Result<(), GapError> {
+    fn review_wheels(&mut self) -> Result<(), GapError> {
         let of_wheels = |(e, _): &(&'static dyn Latent, LatentFit)| e.acts_on() == ActsOn::Wheels;
         let (earlier, kept): (Vec<_>, Vec<_>) =
             std::mem::take(&mut self.latent_fits).into_iter().partition(of_wheels);

@@ -158,10 +158,7 @@ impl Session<'_> {
                 self.prune()?;
                 if list[k].acts_on == ActsOn::Panel {
                     // What single wheels do to a window depends on the panel, too, but hardly on the recorder.
-                    if lost || (self.of_wheels() > 0 && list[k].stage != Stage::Sensor) {
-                        self.relinearise()?;
-                    }
-                    self.review_wheels()?;
+                    self.look_again(lost || (self.of_wheels() > 0 && list[k].stage != Stage::Sensor))?;
                 }
                 return Ok(true);
             }

@@ -8,6 +8,7 @@ use super::comb::{SPEEDS_M_S, comb};
 use super::data::{Observed, RATE_HZ, window_m};
 use super::effect::Effect;
 use super::fit::{Fit, FitOptions, Frame, State, fit, settled};
+use super::forward::Detail;
 use super::linear::{BogieResponses, Linear};
 use super::splines::{PathSplines, matern};
 use super::variation::{OwnIrregularity, Shapes, Variation, estimate, scatter};
@@ -242,7 +243,7 @@ pub fn base(
     let factors = rough_factors(&observed);
     let mut frame = Frame { base: world, observed, responses, factors, deviation_root };
     let state = State::start(&frame, &start);
-    let options = FitOptions { steps: 5, renew: 3, tolerance: 3.0, damped: false };
+    let options = FitOptions { steps: 5, renew: 3, tolerance: 3.0, damped: false, detail: Detail::Full };
     let first = fit(&frame, &[], state, search, options)?;
     // With the ballast about right, a passage that had locked onto a neighbouring wave finds its place.
     let mut state = first.state;

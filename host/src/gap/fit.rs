@@ -5,6 +5,7 @@
 //! position error per passage, and the parameters of the effects. The simulation is exact in all of them; its derivatives
 //! are differences, except those for the path, which come from the linear model once per site.
 
+mod nearby;
 mod priors;
 mod screening;
 mod settled;
@@ -16,11 +17,12 @@ use faer::linalg::solvers::{Llt, Solve as _};
 use faer::{Mat, MatRef};
 use rayon::prelude::*;
 
+use self::nearby::Nearby;
 use self::priors::{BALLAST_PRIOR, SHIFT_SD_M, add_prior, common_shift, prior_cost};
 use super::GapError;
 use super::data::Observed;
 use super::effect::Effect;
-use super::forward::{Response, Simulator};
+use super::forward::{Detail, Response, Simulator};
 use super::linear::BogieResponses;
 use super::world::{SensorModel, World};
 use crate::ballast::BallastParameters;
@@ -144,11 +146,20 @@ impl State {
 
 /// Responses of the bogies of some passages for one world.
 pub fn simulate(world: &World, frame: &Frame, subset: &[usize]) -> Result<Vec<Response>, GapError> {
+    simulate_in(Detail::Full, world, frame, subset)
+}
+
+fn simulate_in(
+    detail: Detail,
+    world: &World,
+    frame: &Frame,
+    subset: &[usize],
+) -> Result<Vec<Response>, GapError> {
     let mut loads: Vec<f64> = subset.iter().map(|i| frame.observed[*i].axle_load_kg).collect();
     loads.sort_by(f64::total_cmp);
     loads.dedup();
     let simulators: Vec<Simulator> =
-        loads.iter().map(|l| Simulator::new(world, *l)).collect::<Result<_, _>>()?;
+        loads.iter().map(|l| Simulator::in_detail(world, *l, detail)).collect::<Result<_, _>>()?;
     subset
         .par_iter()
         .map(|i| {
@@ -180,6 +191,7 @@ fn mean_windows(
 
 /// Simulation of the passages in a state.
 struct Evaluation {
+    detail: Detail,
     sensor: SensorModel,
     responses: Vec<Response>,
     predicted: Vec<Vec<f64>>,
@@ -192,10 +204,10 @@ impl Evaluation {
         frame: &Frame,
         effects: &[&dyn Effect],
         state: &State,
-        subset: &[usize],
+        (subset, detail): (&[usize], Detail),
     ) -> Result<Self, GapError> {
         let world = state.world(frame, effects);
-        let responses = simulate(&world, frame, subset)?;
+        let responses = simulate_in(detail, &world, frame, subset)?;
         let predicted = mean_windows(frame, &world, &responses, subset, (&state.shift_m, 0.0));
         let residuals: Vec<Vec<f64>> = subset
             .iter()
@@ -203,7 +215,7 @@ impl Evaluation {
             .map(|(i, p)| frame.observed[*i].mean.iter().zip(p).map(|(m, p)| m - p).collect())
             .collect();
         let cost = cost(frame, effects, state, subset, &residuals);
-        Ok(Self { sensor: world.sensor, responses, predicted, residuals, cost })
+        Ok(Self { detail, sensor: world.sensor, responses, predicted, residuals, cost })
     }
 }
 
@@ -230,16 +242,19 @@ pub struct FitOptions {
     pub tolerance: f64,
     /// Tries damped steps where straight ones are misled.
     pub damped: bool,
+    /// Of the simulations.
+    pub detail: Detail,
 }
 
 impl FitOptions {
     /// From a start that may be far from the optimum, or for a model that everything else is measured against.
-    pub const THOROUGH: Self = Self { steps: 16, renew: 14, tolerance: 0.5, damped: true };
+    pub const THOROUGH: Self =
+        Self { steps: 16, renew: 14, tolerance: 0.5, damped: true, detail: Detail::Full };
 }
 
 impl Default for FitOptions {
     fn default() -> Self {
-        Self { steps: 8, renew: 6, tolerance: 0.5, damped: true }
+        Self { steps: 8, renew: 6, tolerance: 0.5, damped: true, detail: Detail::Full }
     }
 }
 
@@ -263,13 +278,13 @@ pub fn fit(
         effects: effects.iter().map(|e| e.parameters().len()).sum(),
     };
     let mut state = start;
-    let mut here = Evaluation::new(frame, effects, &state, subset)?;
+    let mut here = Evaluation::new(frame, effects, &state, (subset, options.detail))?;
     let mut columns = derivatives(frame, effects, &state, subset, &here)?;
     let mut fresh = true;
     for step in 0..options.steps {
         let linear = whiten(frame, subset, &columns, &here);
         let normal = normal_equations(frame, effects, &state, &shape, &linear, subset);
-        let next = descend(frame, effects, &state, &normal, subset, here.cost, options.damped)?;
+        let next = descend(frame, effects, (&state, &here), &normal, subset, options.damped)?;
         let gained = next.as_ref().map_or(0.0, |(_, e)| here.cost - e.cost);
         if let Some((s, e)) = next {
             (state, here) = (s, e);
@@ -303,16 +318,16 @@ const DAMPING: [[f64; 2]; 5] = [[1e9, 0.0], [0.3, 0.3], [3.0, 3.0], [30.0, 30.0]
 fn descend(
     frame: &Frame,
     effects: &[&dyn Effect],
-    state: &State,
+    (state, here): (&State, &Evaluation),
     normal: &Normal,
     subset: &[usize],
-    cost: f64,
     damped: bool,
 ) -> Result<Option<(State, Evaluation)>, GapError> {
+    let cost = here.cost;
     let straight = normal.step([0.0; 2])?;
     let lower = |step: &Step, scale: f64| {
         let candidate = moved(frame, effects, state, step, scale, subset);
-        let evaluation = Evaluation::new(frame, effects, &candidate, subset).ok()?;
+        let evaluation = Evaluation::new(frame, effects, &candidate, (subset, here.detail)).ok()?;
         (evaluation.cost < cost).then_some((candidate, evaluation))
     };
     let found = [1.0, 0.35, 0.1].into_iter().find_map(|scale| lower(&straight, scale));
@@ -365,6 +380,7 @@ fn derivatives(
             variants.push((moved, step, effect.simulated()));
         }
     }
+    let nearby = Nearby::of(frame, subset, here.detail);
     let there: Vec<Vec<Vec<f64>>> = variants
         .par_iter()
         .map(|(s, _, simulated)| {
@@ -372,7 +388,7 @@ fn derivatives(
             let shifts = (&s.shift_m[..], 0.0);
             match simulated {
                 true => {
-                    let responses = simulate(&world, frame, subset)?;
+                    let responses = nearby.responses(&world, &here.responses)?;
                     Ok(mean_windows(frame, &world, &responses, subset, shifts))
                 }
                 false => Ok(mean_windows(frame, &world, &here.responses, subset, shifts)),

@@ -3,6 +3,7 @@
 use super::GapError;
 use super::effect::{Effect, Hints};
 use super::fit::{Fit, FitOptions, Frame, Screening, State, fit, replaced, screen};
+use super::forward::Detail;
 use faer::Mat;
 use faer::linalg::solvers::Solve as _;
 use rayon::prelude::*;
@@ -243,7 +244,7 @@ pub(super) fn fit_in_place(
     subset: &[usize],
     options: FitOptions,
 ) -> Option<Fit> {
-    fit(frame, list, replaced(frame, list, start, subset), subset, options).ok()
+    fit(frame, list, replaced(frame, list, start, (subset, options.detail)), subset, options).ok()
 }
 
 /// Such fits from all far starts of the last effect of `list`, with those starts.
@@ -276,12 +277,15 @@ pub(super) fn few_of(subset: &[usize]) -> Vec<usize> {
 }
 
 /// Near the base model the first derivatives hold; what is accepted is fitted again.
-const SMOOTH: FitOptions = FitOptions { steps: 8, renew: 3, tolerance: 0.5, damped: false };
+const SMOOTH: FitOptions =
+    FitOptions { steps: 8, renew: 3, tolerance: 0.5, damped: false, detail: Detail::Full };
 /// An effect that does not begin smoothly is looked for from all its starts in a few passages first.
-pub(super) const SCOUT: FitOptions = FitOptions { steps: 6, renew: 3, tolerance: 3.0, damped: false };
+pub(super) const SCOUT: FitOptions =
+    FitOptions { steps: 6, renew: 3, tolerance: 3.0, damped: false, detail: Detail::Scouting };
 const SCOUTED: usize = 3;
 /// As many steps with all passages tell which valley is the deepest.
-const VALLEY: FitOptions = FitOptions { steps: 6, renew: 4, tolerance: 3.0, damped: false };
+const VALLEY: FitOptions =
+    FitOptions { steps: 6, renew: 4, tolerance: 3.0, damped: false, detail: Detail::Full };
 
 /// Outer stiffness this far from nominal (logarithm) is hardly real.
 const FAR: f64 = 0.7;

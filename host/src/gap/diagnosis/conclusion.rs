@@ -4,7 +4,7 @@ use super::{Diagnosis, Named, Session};
 use crate::gap::GapError;
 use crate::gap::effect::{Effect, Scale, Stage};
 use crate::gap::fit::{Fit, FitOptions, fit, replaced, simulate};
-use crate::gap::forward::Response;
+use crate::gap::forward::{Detail, Response};
 use crate::gap::hammer::{Agreement, BAND_HZ};
 use crate::gap::ladder::ladder;
 use crate::gap::latent::LatentFit;
@@ -92,7 +92,7 @@ impl Session<'_> {
         let (frame, train, options) = (&self.base.frame, &self.split.train, FitOptions::default());
         // Those that the search has not seen are where the base model had put them.
         let unseen: Vec<usize> = train.iter().copied().filter(|i| !self.search.contains(i)).collect();
-        let state = replaced(frame, &self.accepted, self.state(), &unseen);
+        let state = replaced(frame, &self.accepted, self.state(), (&unseen, Detail::Full));
         let last = fit(frame, &self.accepted, state, train, options)?;
         self.describe(&last);
         self.fit = Some(last);

@@ -4,12 +4,13 @@ use faer::Mat;
 use faer::linalg::solvers::Solve as _;
 use rayon::prelude::*;
 
+use super::nearby::Nearby;
 use super::{
-    Evaluation, Frame, Linearised, Shape, State, derivatives, mean_windows, normal_equations, simulate,
-    values, whiten,
+    Evaluation, Frame, Linearised, Shape, State, derivatives, mean_windows, normal_equations, values, whiten,
 };
 use crate::gap::GapError;
 use crate::gap::effect::{Effect, Hints};
+use crate::gap::forward::Detail;
 
 /// Direction in which an effect, or the difference that a start value makes, moves the passages.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -42,7 +43,7 @@ pub fn screen(
     hints: &Hints,
     subset: &[usize],
 ) -> Result<Screening, GapError> {
-    let here = Evaluation::new(frame, accepted, state, subset)?;
+    let here = Evaluation::new(frame, accepted, state, (subset, Detail::Full))?;
     let base = derivatives(frame, accepted, state, subset, &here)?;
     let mut directions = Vec::new();
     let mut variants: Vec<(Vec<f64>, f64)> = Vec::new();
@@ -67,6 +68,7 @@ pub fn screen(
             }
         }
     }
+    let nearby = Nearby::of(frame, subset, here.detail);
     let columns: Vec<Vec<Vec<f64>>> = directions
         .par_iter()
         .zip(&variants)
@@ -76,7 +78,10 @@ pub fn screen(
             effect.apply(&mut world, &values(effect, coordinates));
             let shifts = (&state.shift_m[..], 0.0);
             let predicted = match effect.simulated() {
-                true => mean_windows(frame, &world, &simulate(&world, frame, subset)?, subset, shifts),
+                true => {
+                    let responses = nearby.responses(&world, &here.responses)?;
+                    mean_windows(frame, &world, &responses, subset, shifts)
+                }
                 false => mean_windows(frame, &world, &here.responses, subset, shifts),
             };
             Ok(predicted

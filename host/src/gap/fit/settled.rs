@@ -5,6 +5,7 @@ use super::{Evaluation, Fit, FitOptions, Frame, State, fit};
 use crate::ballast::BallastParameters;
 use crate::gap::GapError;
 use crate::gap::effect::Effect;
+use crate::gap::forward::Detail;
 use crate::gap::measure::ALIGN_M;
 use crate::track::Side;
 
@@ -77,15 +78,20 @@ impl State {
 
 /// A state with every passage of `subset` where it agrees best with that state's own prediction, or as it is where that is more
 /// probable: a model that is far off has put passages a wave too early or too late, from where no fit leads back.
-pub fn replaced(frame: &Frame, effects: &[&dyn Effect], state: State, subset: &[usize]) -> State {
-    let Ok(here) = Evaluation::new(frame, effects, &state, subset) else { return state };
+pub fn replaced(
+    frame: &Frame,
+    effects: &[&dyn Effect],
+    state: State,
+    (subset, detail): (&[usize], Detail),
+) -> State {
+    let Ok(here) = Evaluation::new(frame, effects, &state, (subset, detail)) else { return state };
     let mut moved = state.clone();
     for (i, response) in subset.iter().zip(&here.responses) {
         let o = &frame.observed[*i];
         let gain = here.sensor.gain_at(o.temperature_c);
         moved.shift_m[*i] = o.speed_m_s * o.lag(response, gain, ALIGN_M);
     }
-    match Evaluation::new(frame, effects, &moved, subset) {
+    match Evaluation::new(frame, effects, &moved, (subset, detail)) {
         Ok(there) if there.cost < here.cost => moved,
         _ => state,
     }

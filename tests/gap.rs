@@ -10,6 +10,7 @@ use cpcm::gap::base::{base, nominal_world};
 use cpcm::gap::diagnosis::{DiagnoseOptions, PATH_PRIOR, diagnose};
 use cpcm::gap::effects::COMMON;
 use cpcm::gap::fit::{FitOptions, fit, replaced};
+use cpcm::gap::forward::Detail;
 use cpcm::gap::hammer::{Hammer, modelled};
 use cpcm::gap::receptance::read_receptance;
 use cpcm::gap::results::{diagnosis_json, write_diagnosis};
@@ -259,7 +260,7 @@ fn property_a_passage_a_wave_off_is_found_again() {
     for off_m in [-0.2, 0.2] {
         let mut state = base.fit.state.clone();
         state.shift_m[1] += off_m;
-        let again = replaced(&base.frame, &[], state, &all);
+        let again = replaced(&base.frame, &[], state, (&all, Detail::Full));
         for (a, b) in again.shift_m.iter().zip(&there) {
             assert!((a - b).abs() < tolerance::FOUND_AGAIN_M, "{a} {b}");
         }

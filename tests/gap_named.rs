@@ -6,8 +6,8 @@ use cpcm::gap::effect::Stage;
 use cpcm::gap::verdict::Verdict;
 use cpcm::recording::{Format, read_site, write_site};
 use cpcm::scenario::effects::{
-    BallastMass, BallastStiffening, BiasSteps, Factor, FrontRear, HollowWheels, Mount, PadStiffness,
-    Saturation, StockIrregularity, Tonal, WheelOutOfRoundness,
+    BallastMass, BallastStiffening, BiasSteps, Factor, FrontRear, HollowWheels, LoadTransfer, Mount,
+    PadStiffness, Saturation, StockIrregularity, Tonal, WheelOutOfRoundness,
 };
 use cpcm::scenario::{Effects, read_scenario};
 use cpcm_tests::diagnosed::{among, full, named, quick, recorded, says, trial};
@@ -218,6 +218,32 @@ fn regress_two_effects_that_show_only_together_are_both_named() {
     named.sort_unstable();
     assert_eq!(named, ["ballast-mass", "stock-irregularity"], "{:?} {:?}", found.verdict, found.remarks);
     assert!(found.gap.closed_fraction > tolerance::TOGETHER_CLOSED, "{:?}", found.gap);
+}
+
+/// Moving ballast of less than 50 kg/m was refused for its size although it gained most, and soft pads or another crossing rail came next.
+#[test]
+fn regress_light_moving_ballast_is_named() {
+    let mut scenario = trial(29, 59, &["ballast-mass"]);
+    let truth = 46.13;
+    scenario.simulation.effects =
+        Effects { ballast_mass: Some(BallastMass { mass_kg_m: truth }), ..Effects::default() };
+    let found = among(&recorded(&scenario), &["ballast-mass", "pad-stiffness", "crossing-rail"]);
+    assert_eq!(named(&found), ["ballast-mass"], "{:?} {:?}", found.verdict, found.remarks);
+    let (_, _, low, high) = found.effects[0].parameters[0];
+    assert!(0.0 < low && low < truth && truth < high, "{low} … {high}");
+}
+
+/// 639 nats against 653, and only the larger was stated.
+#[test]
+fn regress_load_transfer_and_axle_load_are_not_told_apart_by_a_fiftieth_of_their_gain() {
+    let mut scenario = trial(29, 12, &["load-transfer"]);
+    scenario.simulation.effects.load_transfer =
+        Some(LoadTransfer { to_crossing_side: 0.3907, to_front: 0.0 });
+    let found = among(&recorded(&scenario), &["load-transfer", "axle-load"]);
+    let mut group = vec![found.effects[0].name];
+    group.extend(&found.effects[0].indistinguishable_from);
+    group.sort_unstable();
+    assert_eq!(group, ["axle-load", "load-transfer"], "{:?} {:?}", found.verdict, found.remarks);
 }
 
 /// Ballast takes over what soft pads do, and leaves no gap where pads are not in the catalogue.

@@ -45,7 +45,8 @@ impl Session<'_> {
 
     /// Whether a pair is on a track as there are, each effect of it sizeable, and nothing that the hammer denies.
     fn tenable(&self, pair: &[&'static dyn Effect; 2], fit: &Fit, reference: &Fit) -> Result<bool, GapError> {
-        let sizeable = pair.iter().enumerate().all(|(k, e)| self.sizeable(*e, (fit, k), fit.inflation()));
+        let sizeable =
+            pair.iter().enumerate().all(|(k, e)| self.sizeable(*e, (fit, k), fit.inflation(), 0.0));
         if !sizeable || fit.state.implausible(&self.base.frame) {
             return Ok(false);
         }

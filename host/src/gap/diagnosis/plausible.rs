@@ -218,9 +218,19 @@ const CLEAR_OF_NOUGHT: f64 = 3.0;
 /// Where there is no nought to be clear of, recordings that leave this part of what was uncertain before them tell no size.
 const TOLD: f64 = 0.5;
 
+/// Gain in log evidence per independent look, nats, from which on this part of the least size is enough. Moving ballast of 38 kg/m that
+/// gained 254 nats was refused for its size, and pads with 144 named instead of it; on sites without effect no size between the half and
+/// the whole gains anything, and pads of 1.06, a quarter, up to 92.
+const SURE_OF_SIZE: (f64, f64) = (100.0, 0.5);
+
 /// Whether effect `index` of a fit is larger than what the forward model's own errors can pass for, and than what is uncertain of
-/// it; `inflation` is the squared misfit per value.
-pub(super) fn large_enough(effect: &dyn Effect, fit: &Fit, index: usize, inflation: f64) -> bool {
+/// it; `inflation` is the squared misfit per value, `gain` that of the effect in log evidence per independent look.
+pub(super) fn large_enough(
+    effect: &dyn Effect,
+    (fit, index): (&Fit, usize),
+    inflation: f64,
+    gain: f64,
+) -> bool {
     let Some(coordinates) = fit.state.effects.get(index) else { return true };
     let from_it_on: usize = fit.state.effects[index..].iter().map(Vec::len).sum();
     let first = fit.covariance.nrows() - from_it_on;
@@ -228,10 +238,11 @@ pub(super) fn large_enough(effect: &dyn Effect, fit: &Fit, index: usize, inflati
         let mut sizes = effect.parameters().iter().take(effect.sizes()).enumerate();
         return sizes.all(|(k, p)| fit.covariance[(first + k, first + k)] < (TOLD * p.prior.1).powi(2));
     };
+    let part = if gain > SURE_OF_SIZE.0 { SURE_OF_SIZE.1 } else { 1.0 };
     let parameters = effect.parameters().iter().zip(coordinates.iter().zip(&nought)).enumerate();
     parameters.take(effect.sizes()).any(|(k, (p, (c, n)))| {
         let sd = (inflation * fit.covariance[(first + k, first + k)].max(0.0)).sqrt();
-        (c - n).abs() >= p.least.max(CLEAR_OF_NOUGHT * sd)
+        (c - n).abs() >= (part * p.least).max(CLEAR_OF_NOUGHT * sd)
     })
 }
 

@@ -19,12 +19,12 @@ impl Session<'_> {
         let mut k = 0;
         while k + 1 < self.accepted.len() {
             let Some(now) = self.fit.as_ref() else { return Ok(()) };
-            let sizeable = large_enough(self.accepted[k], now, k, now.inflation());
             let (mut fewer, mut state) = (self.accepted.clone(), now.state.clone());
             let name = fewer.remove(k).name();
             state.effects.remove(k);
             let without = settled(&self.base.frame, &fewer, state, self.search)?;
-            if sizeable && now.log_evidence - without.log_evidence > LEAST_GAIN * now.inflation() {
+            let gain = (now.log_evidence - without.log_evidence) / now.inflation();
+            if gain > LEAST_GAIN && large_enough(self.accepted[k], (now, k), now.inflation(), gain) {
                 k += 1;
                 continue;
             }

@@ -12,11 +12,12 @@ pub struct BallastMass;
 const PARAMETERS: [Parameter; 1] = [Parameter {
     name: "mass_kg_m",
     scale: Scale::Linear,
-    unit_size: 100.0,
-    prior: (0.0, 1.5),
-    range: [0.0, 10.0],
-    step: 0.1,
-    least: 0.5,
+    unit_size: 50.0,
+    prior: (0.0, 3.0),
+    range: [0.0, 20.0],
+    step: 0.2,
+    least: 1.0,
+    // Of 46 kg/m 38 are found.
     model_error: 0.2,
     nuisance: false,
 }];
@@ -36,7 +37,7 @@ impl Effect for BallastMass {
 
     fn starts(&self, _hints: &Hints) -> Vec<Vec<f64>> {
         // A sleeper with much ballast on it has another resonance, which no small mass leads to.
-        vec![vec![0.0], vec![2.0], vec![6.0]]
+        vec![vec![0.0], vec![4.0], vec![12.0]]
     }
 
     fn nought(&self) -> Option<Vec<f64>> {

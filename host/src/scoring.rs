@@ -4,7 +4,7 @@ use crate::analysis::Analysis;
 use crate::forces::{LOW_PASS_HZ, slope_n_m};
 use crate::recording::Crossing;
 use crate::recording::truth::{Side, Truth, WheelTruth};
-use crate::signal::{CubicSpline, brick_band, mean, quantile};
+use crate::signal::{CubicSpline, brick_band, mean, mean_of, quantile};
 
 /// Time axis on which a true force is low-passed: rate (Hz) and length.
 const FINE_RATE_HZ: f64 = 8000.0;
@@ -128,6 +128,44 @@ pub fn score(analysis: &Analysis, truth: &Truth) -> Score {
     score.waveform_coverage = points_inside as f64 / points.max(1) as f64;
     score.late_s = late.0 / late.1;
     score
+}
+
+/// What a force on the stock rail that all wheels of a site share does to the forces found on the crossing rail: one sensor takes a part
+/// of the one for the other.
+#[derive(Clone, Copy, Debug)]
+pub struct StockInfluence {
+    /// True mean deviation of the stock rail's force from the static one where the mean force on the crossing rail peaks, N.
+    pub at_peak_n: f64,
+    /// Change of the mean error on the crossing rail per newton of it, least squares along the track.
+    pub error_per_newton: f64,
+}
+
+/// Compares the mean error of all wheels with the true mean force on the stock rail; `None` without truth of both rails.
+pub fn stock_influence(analysis: &Analysis, truth: &Truth) -> Option<StockInfluence> {
+    let vehicle = &analysis.crossing.vehicle;
+    let static_force_n = vehicle.axle_load_kg * vehicle.gravity_m_s2 / 2.0;
+    let wheels = || analysis.passages.iter().flat_map(|p| p.wheelsets.iter().map(move |w| (p.passage_id, w)));
+    let mean_true_n = |side: Side| {
+        let all = wheels().filter_map(|(passage, w)| {
+            let known = truth
+                .wheels
+                .iter()
+                .find(|t| t.passage_id == passage && t.wheelset == w.wheelset && t.side == side)?;
+            Some(true_force_n(known, &analysis.crossing, static_force_n, &w.position_m))
+        });
+        mean_of(&all.collect::<Vec<_>>())
+    };
+    let (crossing_n, stock_n) = (mean_true_n(Side::Crossing), mean_true_n(Side::Stock));
+    let found_n = mean_of(&wheels().map(|(_, w)| w.contact_force_n.clone()).collect::<Vec<_>>());
+    if stock_n.len() != found_n.len() || crossing_n.len() != found_n.len() {
+        return None;
+    }
+    let error_n: Vec<f64> = found_n.iter().zip(&crossing_n).map(|(f, t)| f - t).collect();
+    let (middle_n, off_n) = (mean(&stock_n), mean(&error_n));
+    let product: f64 = error_n.iter().zip(&stock_n).map(|(e, s)| (e - off_n) * (s - middle_n)).sum();
+    let square: f64 = stock_n.iter().map(|s| (s - middle_n).powi(2)).sum();
+    let at = (0..crossing_n.len()).max_by(|a, b| crossing_n[*a].total_cmp(&crossing_n[*b]))?;
+    Some(StockInfluence { at_peak_n: stock_n[at] - static_force_n, error_per_newton: product / square })
 }
 
 /// Sums of which the ratio is the time by which the force `found` comes later than the one `known` under a wheel that moves at

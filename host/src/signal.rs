@@ -117,6 +117,13 @@ pub fn mean(values: &[f64]) -> f64 {
     if values.is_empty() { 0.0 } else { values.iter().sum::<f64>() / values.len() as f64 }
 }
 
+/// Mean of series of equal length, value by value; empty of none.
+pub fn mean_of(series: &[Vec<f64>]) -> Vec<f64> {
+    let n = series.first().map_or(0, Vec::len);
+    let scale = 1.0 / series.len().max(1) as f64;
+    (0..n).map(|k| series.iter().map(|s| s[k]).sum::<f64>() * scale).collect()
+}
+
 /// Takes the mean off, in place.
 pub fn centre(values: &mut [f64]) {
     let mean = mean(values);

@@ -3,7 +3,7 @@
 use super::forward::{BAND_HZ, Response};
 use crate::reconstruct::Recording;
 use crate::recording::Sensor;
-use crate::signal::slope;
+use crate::signal::{mean_of, slope};
 use crate::vehicle::AxlePattern;
 
 /// Rate of the windows, Hz.
@@ -226,13 +226,6 @@ pub fn energies(windows: &[Vec<f64>]) -> (f64, f64) {
 pub fn own_energy((all, shared): (f64, f64), windows: usize) -> f64 {
     let k = windows as f64;
     ((all - shared) * k / (k - 1.0).max(1.0)).max(0.0)
-}
-
-/// Mean of windows of equal length.
-pub fn mean_of(windows: &[Vec<f64>]) -> Vec<f64> {
-    let n = windows.first().map_or(0, Vec::len);
-    let scale = 1.0 / windows.len().max(1) as f64;
-    (0..n).map(|k| windows.iter().map(|w| w[k]).sum::<f64>() * scale).collect()
 }
 
 #[cfg(test)]

@@ -234,7 +234,7 @@ fn add_outer(target: &mut Mat<f64>, column: &Mat<f64>) {
 
 /// Deviations of residual windows from their mean, as columns.
 pub fn scatter(residuals: &[Vec<f64>]) -> Mat<f64> {
-    let mean = super::data::mean_of(residuals);
+    let mean = crate::signal::mean_of(residuals);
     Mat::from_fn(mean.len(), residuals.len(), |k, c| residuals[c][k] - mean[k])
 }
 

@@ -9,7 +9,7 @@ use crate::inverse::hierarchy::kinds;
 use crate::pipeline::{PipelineError, evaluate};
 use crate::progress::Progress;
 use crate::recording::truth::Truth;
-use crate::scoring::{Score, score};
+use crate::scoring::{Score, StockInfluence, score, stock_influence};
 use crate::signal::{mean, quantile};
 
 /// Median of |e| over the standard deviation of a normal e.
@@ -25,6 +25,8 @@ pub struct PeakLimits {
     pub ballast: f64,
     /// Score of the analysis.
     reached: Score,
+    /// What the stock rail's force does to them, where it is known.
+    stock: Option<StockInfluence>,
     /// Score with the true ballast instead of the calibrated one, where it is of the calibrated form.
     on_true_ballast: Option<Score>,
 }
@@ -47,7 +49,8 @@ impl PeakLimits {
             }
             None => None,
         };
-        Ok(Self { own, profile, ballast, reached, on_true_ballast })
+        let stock = stock_influence(analysis, truth);
+        Ok(Self { own, profile, ballast, reached, stock, on_true_ballast })
     }
 
     /// What all wheels of the site share: it moves the errors of all its peaks together.
@@ -73,7 +76,8 @@ impl PeakLimits {
              wheels of the site share, with its parts (the common profile mostly because a force on the stock rail looks like one on \
              the crossing rail); the median error to be expected from both, and the one reached; the mean \
              error with its sign, which is the shared part's; the same two with the true ballast put in; the time by which all forces come too \
-             late.",
+             late; the true force on the stock rail, less the static one, where the crossing's peaks, mean of all wheels; and by how much \
+             the mean error on the crossing rail changes per newton of it, along the track.",
             &[
                 "own",
                 "shared",
@@ -85,6 +89,8 @@ impl PeakLimits {
                 "true ballast: median",
                 "mean, signed",
                 "late, \u{b5}s",
+                "stock at peak, kN",
+                "error per stock force",
             ],
         );
         let percent = |v: f64| format!("{:.2} %", 100.0 * v);
@@ -96,6 +102,10 @@ impl PeakLimits {
         let mut row = sds.map(percent).to_vec();
         row.extend([Some(&self.reached), self.on_true_ballast.as_ref()].map(scored).concat());
         row.push(format!("{:.0}", 1e6 * self.reached.late_s));
+        row.extend(match self.stock {
+            Some(s) => [format!("{:.1}", 1e-3 * s.at_peak_n), format!("{:.2}", s.error_per_newton)],
+            None => ["-".into(), "-".into()],
+        });
         table.row(&row);
         table
     }

@@ -7,7 +7,7 @@ use cpcm::gap::verdict::Verdict;
 use cpcm::recording::{Format, read_site, write_site};
 use cpcm::scenario::effects::{
     BallastMass, BallastStiffening, BiasSteps, Factor, FrontRear, HollowWheels, LoadTransfer, Mount,
-    PadStiffness, Saturation, StockIrregularity, Tonal, WheelOutOfRoundness,
+    PadStiffness, Saturation, StockIrregularity, Tonal, VoidedSleepers, WheelOutOfRoundness,
 };
 use cpcm::scenario::{Effects, read_scenario};
 use cpcm_tests::diagnosed::{among, full, named, quick, recorded, says, trial};
@@ -244,6 +244,23 @@ fn regress_load_transfer_and_axle_load_are_not_told_apart_by_a_fiftieth_of_their
     group.extend(&found.effects[0].indistinguishable_from);
     group.sort_unstable();
     assert_eq!(group, ["axle-load", "load-transfer"], "{:?} {:?}", found.verdict, found.remarks);
+}
+
+/// Behind the train the sleeper over the void rings louder than the tone, and what rings behind it only is none.
+#[test]
+fn regress_interference_over_a_void_is_named() {
+    let both = ["voided-sleepers", "tonal"];
+    let mut scenario = trial(30, 17, &both);
+    let sleepers = vec![(-1, 0.5), (0, 1.0), (1, 0.5)];
+    let voided_sleepers = Some(VoidedSleepers { gap_m: 1.0935e-3, sleepers });
+    let tonal = Some(Tonal { frequency_hz: 92.72, amplitude_m_s2: 6.372 });
+    scenario.simulation.effects = Effects { voided_sleepers, tonal, ..Effects::default() };
+    let found = among(&recorded(&scenario), &both);
+    assert_eq!(named(&found), ["tonal", "voided-sleepers"], "{:?} {:?}", found.verdict, found.remarks);
+    for (effect, truth) in found.effects.iter().zip([92.72, 1.0935e-3]) {
+        let (_, _, low, high) = effect.parameters[0];
+        assert!(low < truth && truth < high, "{}: {low} … {high}", effect.name);
+    }
 }
 
 /// Ballast takes over what soft pads do, and leaves no gap where pads are not in the catalogue.

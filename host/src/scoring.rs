@@ -5,6 +5,7 @@ use crate::forces::{LOW_PASS_HZ, slope_n_m};
 use crate::recording::Crossing;
 use crate::recording::truth::{Side, Truth, WheelTruth};
 use crate::signal::{CubicSpline, brick_band, mean, mean_of, quantile};
+use crate::vehicle::static_wheel_force_n;
 
 /// Time axis on which a true force is low-passed: rate (Hz) and length.
 const FINE_RATE_HZ: f64 = 8000.0;
@@ -86,13 +87,10 @@ pub fn score(analysis: &Analysis, truth: &Truth) -> Score {
     };
     let (mut peaks_inside, mut points_inside, mut points) = (0usize, 0usize, 0usize);
     let mut late = (0.0, 0.0);
+    let static_force_n = stated_static_force_n(&analysis.crossing);
     for passage in &analysis.passages {
-        let static_force_n =
-            analysis.crossing.vehicle.axle_load_kg * analysis.crossing.vehicle.gravity_m_s2 / 2.0;
         for wheel in &passage.wheelsets {
-            let Some(known) = truth.wheels.iter().find(|t| {
-                t.passage_id == passage.passage_id && t.wheelset == wheel.wheelset && t.side == Side::Crossing
-            }) else {
+            let Some(known) = truth_of(truth, passage.passage_id, wheel.wheelset, Side::Crossing) else {
                 continue;
             };
             let true_n = true_force_n(known, &analysis.crossing, static_force_n, &wheel.position_m);
@@ -142,15 +140,11 @@ pub struct StockInfluence {
 
 /// Compares the mean error of all wheels with the true mean force on the stock rail; `None` without truth of both rails.
 pub fn stock_influence(analysis: &Analysis, truth: &Truth) -> Option<StockInfluence> {
-    let vehicle = &analysis.crossing.vehicle;
-    let static_force_n = vehicle.axle_load_kg * vehicle.gravity_m_s2 / 2.0;
+    let static_force_n = stated_static_force_n(&analysis.crossing);
     let wheels = || analysis.passages.iter().flat_map(|p| p.wheelsets.iter().map(move |w| (p.passage_id, w)));
     let mean_true_n = |side: Side| {
         let all = wheels().filter_map(|(passage, w)| {
-            let known = truth
-                .wheels
-                .iter()
-                .find(|t| t.passage_id == passage && t.wheelset == w.wheelset && t.side == side)?;
+            let known = truth_of(truth, passage, w.wheelset, side)?;
             Some(true_force_n(known, &analysis.crossing, static_force_n, &w.position_m))
         });
         mean_of(&all.collect::<Vec<_>>())
@@ -166,6 +160,16 @@ pub fn stock_influence(analysis: &Analysis, truth: &Truth) -> Option<StockInflue
     let square: f64 = stock_n.iter().map(|s| (s - middle_n).powi(2)).sum();
     let at = (0..crossing_n.len()).max_by(|a, b| crossing_n[*a].total_cmp(&crossing_n[*b]))?;
     Some(StockInfluence { at_peak_n: stock_n[at] - static_force_n, error_per_newton: product / square })
+}
+
+/// Truth of one wheel.
+fn truth_of(truth: &Truth, passage_id: i32, wheelset: usize, side: Side) -> Option<&WheelTruth> {
+    truth.wheels.iter().find(|t| t.passage_id == passage_id && t.wheelset == wheelset && t.side == side)
+}
+
+/// Static force of a wheel with the axle load of the description, N.
+fn stated_static_force_n(crossing: &Crossing) -> f64 {
+    static_wheel_force_n(crossing.vehicle.axle_load_kg, crossing.vehicle.gravity_m_s2)
 }
 
 /// Sums of which the ratio is the time by which the force `found` comes later than the one `known` under a wheel that moves at

@@ -312,3 +312,52 @@ fn regress_what_hides_behind_the_floor_is_told() {
     let found = told(Effects::default());
     assert_eq!(found.verdict, Verdict::NoGap, "{:?}", found.remarks);
 }
+
+/// Wheels differ over a void by more than the model can follow, and the search had ended there, whatever the recorder did.
+#[test]
+fn regress_a_mount_over_a_void_is_named() {
+    let mut scenario = trial(26, 137, &["voided-sleepers", "mount-resonance"]);
+    let sleepers = vec![(-1, 0.5), (0, 1.0), (1, 0.5)];
+    let truth_hz = 260.5;
+    scenario.simulation.effects = Effects {
+        voided_sleepers: Some(VoidedSleepers { gap_m: 0.774e-3, sleepers }),
+        mount_resonance: Some(Mount { frequency_hz: truth_hz, damping_ratio: 0.068 }),
+        ..Effects::default()
+    };
+    let candidates = ["voided-sleepers", "mount-resonance", "stock-irregularity", "wheel-flat"];
+    let found = among(&recorded(&scenario), &candidates);
+    assert_eq!(named(&found), ["voided-sleepers", "mount-resonance"], "{:?}", found.remarks);
+    let (_, _, low, high) = found.effects[1].parameters[0];
+    assert!(low < truth_hz && truth_hz < high, "{low} … {high}");
+}
+
+/// Ballast had taken over what pads and mount do: with the mount alone nothing was taken off the residual, and light wheelsets were
+/// named, denied, and nothing looked for instead of them.
+#[test]
+fn regress_soft_pads_and_a_mount_that_ballast_had_taken_over_are_both_named() {
+    let mut scenario = trial(30, 97, &["pad-stiffness", "mount-resonance"]);
+    scenario.simulation.effects = Effects {
+        pad_stiffness: Some(PadStiffness { factor: 0.2884, damping_factor: 1.0 }),
+        mount_resonance: Some(Mount { frequency_hz: 408.6, damping_ratio: 0.1 }),
+        ..Effects::default()
+    };
+    let candidates = ["pad-stiffness", "mount-resonance", "unsprung-mass", "load-transfer"];
+    let found = among(&recorded(&scenario), &candidates);
+    let mut named = named(&found);
+    named.sort_unstable();
+    assert_eq!(named, ["mount-resonance", "pad-stiffness"], "{:?}", found.remarks);
+}
+
+/// Heavy wheelsets stood in for ballast that stiffens with load; the held-out passages denied them, and nothing else was looked for.
+#[test]
+fn regress_what_the_withdrawn_stood_in_for_is_looked_for() {
+    let mut scenario = trial(25, 17, &["pad-stiffness", "ballast-stiffening"]);
+    scenario.simulation.effects = Effects {
+        pad_stiffness: Some(PadStiffness { factor: 0.7817, damping_factor: 1.0 }),
+        ballast_stiffening: Some(BallastStiffening { doubling_m: 0.5169e-3, bilinear_factor: None }),
+        ..Effects::default()
+    };
+    let found = among(&recorded(&scenario), &["unsprung-mass", "ballast-stiffening"]);
+    assert!(says(&found, "withdrawn"), "{:?} {:?}", named(&found), found.remarks);
+    assert_eq!(named(&found), ["ballast-stiffening"], "{:?}", found.remarks);
+}

@@ -260,6 +260,10 @@ struct Session<'a> {
     ranking: Vec<Ranked>,
     cosines: Vec<(&'static str, &'static str, f64)>,
     remarks: Vec<String>,
+    /// Whether effects were looked for.
+    searched: bool,
+    /// What was found and denied by passages that the search has not seen.
+    withdrawn: Vec<&'static str>,
     foreign_scan: bool,
     /// The recordings or the scan cannot be what they are said to be: no gap of theirs means anything.
     untrusted: bool,
@@ -293,6 +297,8 @@ impl<'a> Session<'a> {
             ranking: Vec::new(),
             cosines: Vec::new(),
             remarks: Vec::new(),
+            searched: false,
+            withdrawn: Vec::new(),
             foreign_scan: false,
             untrusted: false,
             clips_at_m_s2: None,

@@ -133,6 +133,10 @@ pub trait Effect: Sync + Send {
     fn witness(&self) -> Witness {
         Witness::None
     }
+    /// Whether recordings of which this is known can come about at all with these values.
+    fn possible(&self, _values: &[f64], _hints: &Hints) -> bool {
+        true
+    }
     /// Whether its parameters change the motion; a gain does not.
     fn simulated(&self) -> bool {
         true

@@ -8,8 +8,9 @@ use super::world::World;
 use crate::passage::contact::ContactLaw;
 use crate::passage::surface::GRID_M;
 use crate::passage::{
-    Bogie, Journey, Profile, RunningSurface, SLEEPER_MODES, SimulationError, Start, Stepper, Support,
-    SupportLaw, TimeStep, TrackModel, Train, VehicleUnit, Wheel, WheelFlat, run,
+    Bogie, Journey, PassageRecord, Profile, RunningSurface, SLEEPER_MODES, SimulationError, Start, Stepper,
+    Support, SupportLaw, TimeStep, TrackModel, Train, Underway, VehicleUnit, Wheel, WheelFlat, halt, resume,
+    run,
 };
 use crate::signal::{AntiAlias, irfft, rfft, rfft_frequencies_hz, taper};
 use crate::track::{Mesh, Side, Track};
@@ -131,27 +132,61 @@ impl Simulator {
         out
     }
 
+    /// Travel of the front axle from which on a bump ([`with_bump`](Self::with_bump)) is under a wheel, metres.
+    pub fn meets_m(&self, world: &World, knot: usize, axle: usize) -> f64 {
+        let (side, x_m) = world.path.deviation.knots()[knot];
+        let behind_m =
+            if side == Side::Crossing { axle as f64 * world.crossing.vehicle.axle_spacing_m } else { 0.0 };
+        // A cubic B-spline reaches over two steps, its samples over two of theirs.
+        self.direction * x_m - 2.0 * (world.path.deviation.step_m(side) + GRID_M) + behind_m
+    }
+
     /// Acceleration at the sensor while one bogie passes at `speed_m_s` by the recorder's clock.
     pub fn response(&self, speed_m_s: f64) -> Result<Response, SimulationError> {
-        let stretch = 1.0 + self.sensor.clock_error;
-        let speed = speed_m_s * stretch;
+        let journey = self.journey(speed_m_s);
+        let record = run(&self.stepper, &self.train, (&self.surface, self.law), &journey, [0.0, 0.0])?;
+        Ok(self.shown(&journey, &record))
+    }
+
+    /// The same passage halted before the front axle has travelled to each of `halts_m`, ascending, metres from x = 0.
+    pub fn halted(&self, speed_m_s: f64, halts_m: &[f64]) -> Result<Vec<Underway>, SimulationError> {
+        halt(&self.stepper, &self.train, (&self.surface, self.law), &self.journey(speed_m_s), halts_m)
+    }
+
+    /// The same as [`response`](Self::response) where a halted passage has met nothing yet that is otherwise here.
+    pub fn response_after(&self, underway: Underway, speed_m_s: f64) -> Result<Response, SimulationError> {
+        let journey = self.journey(speed_m_s);
+        let record = resume(&self.stepper, &self.train, (&self.surface, self.law), &journey, underway)?;
+        Ok(self.shown(&journey, &record))
+    }
+
+    /// From one end of the track to the other at a speed by the recorder's clock.
+    fn journey(&self, speed_m_s: f64) -> Journey {
+        let speed = speed_m_s * self.stretch();
         let [first, last] = self.stepper.model.extent_m();
-        let entry = if self.direction > 0.0 { first } else { -last };
         let length = last - first + self.train.length_m();
-        let journey = Journey {
+        Journey {
             direction: self.direction,
             speed_m_s: speed,
             acceleration_m_s2: 0.0,
-            first_m: entry,
+            first_m: if self.direction > 0.0 { first } else { -last },
             duration_s: length / speed,
             start: Start::Quiet,
-        };
-        let record = run(&self.stepper, &self.train, (&self.surface, self.law), &journey, [0.0, 0.0])?;
-        Ok(Response {
-            first_s: entry / speed * stretch,
+        }
+    }
+
+    /// Recorder time per time.
+    fn stretch(&self) -> f64 {
+        1.0 + self.sensor.clock_error
+    }
+
+    fn shown(&self, journey: &Journey, record: &PassageRecord) -> Response {
+        let (speed, stretch) = (journey.speed_m_s, self.stretch());
+        Response {
+            first_s: journey.first_m / speed * stretch,
             step_s: record.dt_s * stretch,
             acceleration_m_s2: self.acceleration(&record.sensor_m, 1.0 / record.dt_s, speed),
-        })
+        }
     }
 
     /// What the recorder makes of the motion, in the band of the comparison. The recorder's low-pass is undone in the

@@ -11,7 +11,6 @@ use rayon::prelude::*;
 use super::GapError;
 use super::data::{Observed, RATE_HZ};
 use super::forward::{Response, Simulator};
-use super::splines::PathSplines;
 use super::world::{SensorModel, World};
 use crate::track::Side;
 
@@ -221,17 +220,15 @@ fn weights(nodes: &[Node], speed_m_s: f64) -> Vec<f64> {
 
 fn node(world: &World, simulator: &Simulator, axle_load_kg: f64, speed_m_s: f64) -> Result<Node, GapError> {
     let here = simulator.response(speed_m_s)?;
-    let grids: &PathSplines = &world.path.deviation;
-    let bump = |axle: usize, k: usize| -> Result<Response, GapError> {
-        Ok(simulator.with_bump(world, k, axle, BUMP_M)?.response(speed_m_s)?.less(&here, BUMP_M))
-    };
-    let front: Vec<Response> =
-        (0..grids.len()).into_par_iter().map(|k| bump(0, k)).collect::<Result<_, _>>()?;
-    let sides = grids.knots();
-    let rear: Vec<Response> = (0..grids.len())
-        .into_par_iter()
-        .map(|k| if sides[k].0 == Side::Stock { Ok(front[k].clone()) } else { bump(1, k) })
-        .collect::<Result<_, _>>()?;
+    let sides = world.path.deviation.knots();
+    let bumps = |axle: usize, among: Vec<usize>| bumps(world, simulator, (axle, among), (&here, speed_m_s));
+    let front = bumps(0, (0..sides.len()).collect())?;
+    // Under both wheels on the stock rail: the same for both axles.
+    let mut rear = front.clone();
+    let crossing: Vec<usize> = (0..sides.len()).filter(|k| sides[*k].0 == Side::Crossing).collect();
+    for (k, response) in crossing.iter().zip(bumps(1, crossing.clone())?) {
+        rear[*k] = response;
+    }
     let knots = [front, rear];
     let load = |wheel: usize| -> Result<Response, GapError> {
         let mut moved = world.clone();
@@ -239,6 +236,27 @@ fn node(world: &World, simulator: &Simulator, axle_load_kg: f64, speed_m_s: f64)
         Ok(Simulator::new(&moved, axle_load_kg)?.response(speed_m_s)?.less(&here, LOAD_STEP))
     };
     Ok(Node { speed_m_s, knots, loads: [load(0)?, load(1)?, load(2)?, load(3)?] })
+}
+
+/// What bumps at some knots under an axle change, per metre. Until a wheel is there, all of them are one passage.
+fn bumps(
+    world: &World,
+    simulator: &Simulator,
+    (axle, among): (usize, Vec<usize>),
+    (here, speed_m_s): (&Response, f64),
+) -> Result<Vec<Response>, GapError> {
+    let meets_m = |k: &usize| simulator.meets_m(world, *k, axle);
+    let mut halts_m: Vec<f64> = among.iter().map(meets_m).collect();
+    halts_m.sort_by(f64::total_cmp);
+    let halted = simulator.halted(speed_m_s, &halts_m)?;
+    among
+        .par_iter()
+        .map(|k| {
+            let before = halts_m.partition_point(|h| *h < meets_m(k));
+            let bumped = simulator.with_bump(world, *k, axle, BUMP_M)?;
+            Ok(bumped.response_after(halted[before].clone(), speed_m_s)?.less(here, BUMP_M))
+        })
+        .collect()
 }
 
 #[cfg(test)]
@@ -249,7 +267,7 @@ mod tests {
     use super::super::diagnosis::PATH_PRIOR;
     use super::*;
     use crate::ballast::BallastParameters;
-    use crate::recording::read_site;
+    use crate::recording::{TrafficDirection, read_site};
 
     /// Linearised with the mount in the world, they went through it a second time in every fit.
     #[test]
@@ -266,5 +284,32 @@ mod tests {
         let (firm, bare) = (both(&firm), both(&loose));
         assert_eq!(firm.both, bare.both);
         assert_eq!(bare.through_mount(&loose.sensor).both, *loose.sensor.through_mount(&bare.both));
+    }
+
+    /// Passages that are one until a wheel meets the bump, in both directions and on both rails.
+    #[test]
+    fn analytic_bumps_are_those_of_whole_passages() {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/data/field");
+        let site = read_site(&root.join("reference-1")).unwrap();
+        let mut world = nominal_world(&site, BallastParameters::NOMINAL).unwrap();
+        for direction in [TrafficDirection::Facing, TrafficDirection::Trailing] {
+            world.crossing.traffic_direction = direction;
+            let simulator = Simulator::new(&world, world.crossing.vehicle.axle_load_kg).unwrap();
+            let here = simulator.response(40.0).unwrap();
+            let some: Vec<usize> = (0..world.path.deviation.len()).step_by(9).collect();
+            for axle in [0, 1] {
+                let resumed = bumps(&world, &simulator, (axle, some.clone()), (&here, 40.0)).unwrap();
+                for (k, resumed) in some.iter().zip(&resumed) {
+                    let bumped = simulator.with_bump(&world, *k, axle, BUMP_M).unwrap();
+                    let whole = bumped.response(40.0).unwrap().less(&here, BUMP_M);
+                    let time = |i: usize| i as f64 / 4000.0 - 0.1;
+                    assert!(
+                        (0..1600).all(|i| resumed.at(time(i)) == whole.at(time(i))),
+                        "axle {axle}, knot {k}"
+                    );
+                    assert!((0..1600).any(|i| whole.at(time(i)) != 0.0), "axle {axle}, knot {k}");
+                }
+            }
+        }
     }
 }

@@ -65,11 +65,25 @@ struct Passage<'a> {
     surface: &'a RunningSurface,
     law: ContactLaw,
     journey: &'a Journey,
+    /// Contact forces are kept here, x in m.
+    range_m: [f64; 2],
     /// Static deflection of the track's end part under each wheel, m.
     ground_m: Vec<f64>,
 }
 
+/// A passage on its way, and what it has left behind so far.
+#[derive(Clone)]
+pub struct Underway {
+    /// Steps done.
+    step: usize,
+    track: TrackState,
+    units: Vec<Running>,
+    at_rest: bool,
+    record: PassageRecord,
+}
+
 /// One bogie on its way.
+#[derive(Clone)]
 struct Running {
     stepper: UnitStepper,
     state: UnitState,
@@ -117,10 +131,40 @@ pub fn run(
     journey: &Journey,
     range_m: [f64; 2],
 ) -> Result<PassageRecord, SimulationError> {
-    check(train, surface, law, journey)?;
-    let passage = Passage { stepper, train, surface, law, journey, ground_m: ground(stepper, train)? };
-    passage.run(range_m)
+    let passage = Passage::new(stepper, train, (surface, law), journey, range_m)?;
+    let mut underway = passage.start()?;
+    passage.advance(&mut underway, f64::INFINITY)?;
+    Ok(underway.record)
 }
+
+/// The same, halted before the first axle reaches every one of `halts_m`, travel in ascending order, metres; no contact forces.
+pub fn halt(
+    stepper: &Stepper,
+    train: &Train,
+    (surface, law): (&RunningSurface, ContactLaw),
+    journey: &Journey,
+    halts_m: &[f64],
+) -> Result<Vec<Underway>, SimulationError> {
+    let passage = Passage::new(stepper, train, (surface, law), journey, NOWHERE_M)?;
+    let mut underway = passage.start()?;
+    halts_m.iter().map(|at_m| passage.advance(&mut underway, *at_m).map(|()| underway.clone())).collect()
+}
+
+/// The rest of a halted passage. What the wheels have rolled over so far must be as it was; what comes may be another surface.
+pub fn resume(
+    stepper: &Stepper,
+    train: &Train,
+    (surface, law): (&RunningSurface, ContactLaw),
+    journey: &Journey,
+    mut underway: Underway,
+) -> Result<PassageRecord, SimulationError> {
+    let passage = Passage::new(stepper, train, (surface, law), journey, NOWHERE_M)?;
+    passage.advance(&mut underway, f64::INFINITY)?;
+    Ok(underway.record)
+}
+
+/// A range that no wheel is in.
+const NOWHERE_M: [f64; 2] = [f64::INFINITY, f64::NEG_INFINITY];
 
 fn check(
     train: &Train,
@@ -156,49 +200,76 @@ fn ground(stepper: &Stepper, train: &Train) -> Result<Vec<f64>, SimulationError>
     Ok(train.wheels.iter().enumerate().map(|(i, w)| w.static_force_n * compliance[i % 2]).collect())
 }
 
-impl Passage<'_> {
-    fn run(&self, range_m: [f64; 2]) -> Result<PassageRecord, SimulationError> {
+impl<'a> Passage<'a> {
+    fn new(
+        stepper: &'a Stepper,
+        train: &'a Train,
+        (surface, law): (&'a RunningSurface, ContactLaw),
+        journey: &'a Journey,
+        range_m: [f64; 2],
+    ) -> Result<Self, SimulationError> {
+        check(train, surface, law, journey)?;
+        let ground_m = ground(stepper, train)?;
+        Ok(Self { stepper, train, surface, law, journey, range_m, ground_m })
+    }
+
+    fn start(&self) -> Result<Underway, SimulationError> {
+        let track = self.initial_track()?;
+        let mut sensor_m = vec![0.0; self.steps() + 1];
+        sensor_m[0] = self.stepper.sensor_m(&track);
+        let contacts = vec![ContactTrace::default(); self.train.wheels.len()];
+        Ok(Underway {
+            step: 0,
+            track,
+            units: self.initial_units()?,
+            at_rest: self.journey.start == Start::Quiet,
+            record: PassageRecord { dt_s: self.stepper.step.dt_s, sensor_m, contacts },
+        })
+    }
+
+    /// Steps on until the first axle would be at `until_m` (travel) or the end.
+    fn advance(&self, on: &mut Underway, until_m: f64) -> Result<(), SimulationError> {
         let (dt, theta) = (self.stepper.step.dt_s, self.stepper.step.theta);
-        let steps = (self.journey.duration_s / dt).round() as usize;
-        let mut track = self.initial_track()?;
-        let mut units = self.initial_units()?;
-        let mut record = PassageRecord {
-            dt_s: dt,
-            sensor_m: vec![0.0; steps + 1],
-            contacts: vec![ContactTrace::default(); self.train.wheels.len()],
-        };
         let early = self.steps_before_record();
-        let mut at_rest = self.journey.start == Start::Quiet;
-        record.sensor_m[0] = self.stepper.sensor_m(&track);
-        for step in 0..early + steps {
+        while on.step < early + self.steps() {
+            let step = on.step;
             let time = (step as f64 - early as f64) * dt;
             let travelled = self.travelled_m(time + theta * dt);
-            let any = self.update_phases(&mut units, travelled);
-            if at_rest && !any {
+            if travelled >= until_m {
+                break;
+            }
+            on.step += 1;
+            let any = self.update_phases(&mut on.units, travelled);
+            if on.at_rest && !any {
                 continue;
             }
-            at_rest = false;
-            self.stepper.begin(&mut track);
+            on.at_rest = false;
+            self.stepper.begin(&mut on.track);
             self.stepper.arch.dispatch(AllContacts {
                 passage: self,
-                track: &mut track,
-                units: &mut units,
+                track: &mut on.track,
+                units: &mut on.units,
                 travelled_m: travelled,
-                traces: (&mut record.contacts, range_m),
+                traces: &mut on.record.contacts,
             });
-            self.stepper.finish(&mut track);
+            self.stepper.finish(&mut on.track);
             if step + 1 >= early {
-                record.sensor_m[step + 1 - early] = self.stepper.sensor_m(&track);
+                on.record.sensor_m[step + 1 - early] = self.stepper.sensor_m(&on.track);
             }
             if step % LOOK_EVERY == 0 {
-                let largest = self.stepper.largest_m(&track);
+                let largest = self.stepper.largest_m(&on.track);
                 if !largest.is_finite() {
                     return Err(SimulationError::Diverged { time_s: time });
                 }
-                at_rest = !any && largest < QUIET_M;
+                on.at_rest = !any && largest < QUIET_M;
             }
         }
-        Ok(record)
+        Ok(())
+    }
+
+    /// Of the record.
+    fn steps(&self) -> usize {
+        (self.journey.duration_s / self.stepper.step.dt_s).round() as usize
     }
 
     fn travelled_m(&self, time_s: f64) -> f64 {
@@ -246,7 +317,7 @@ impl Passage<'_> {
         track: &mut TrackState,
         unit: &mut Running,
         travelled_m: f64,
-        (traces, range_m): (&mut [ContactTrace], [f64; 2]),
+        traces: &mut [ContactTrace],
     ) {
         let wheels = &self.train.wheels[unit.first_wheel..unit.first_wheel + unit.wheels];
         let mut static_n = [0.0; CONTACTS];
@@ -264,7 +335,7 @@ impl Passage<'_> {
             if let Some(point) = &contact.point {
                 self.stepper.load(track, point, contact.share * unit.force_n[i]);
             }
-            if contact.x_m >= range_m[0] && contact.x_m <= range_m[1] {
+            if contact.x_m >= self.range_m[0] && contact.x_m <= self.range_m[1] {
                 let trace = &mut traces[unit.first_wheel + i];
                 trace.position_m.push(contact.x_m);
                 trace.force_n.push(unit.force_n[i]);
@@ -411,7 +482,7 @@ struct AllContacts<'a, 'b> {
     track: &'a mut TrackState,
     units: &'a mut [Running],
     travelled_m: f64,
-    traces: (&'a mut [ContactTrace], [f64; 2]),
+    traces: &'a mut [ContactTrace],
 }
 
 impl pulp::WithSimd for AllContacts<'_, '_> {
@@ -420,8 +491,7 @@ impl pulp::WithSimd for AllContacts<'_, '_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
         for unit in self.units.iter_mut().filter(|u| u.phase == Phase::On) {
-            let traces = (&mut *self.traces.0, self.traces.1);
-            self.passage.unit_step(simd, self.track, unit, self.travelled_m, traces);
+            self.passage.unit_step(simd, self.track, unit, self.travelled_m, self.traces);
         }
     }
 }

@@ -215,6 +215,7 @@ impl Train {
 }
 
 /// A unit factorised for a time step.
+#[derive(Clone)]
 pub(super) struct UnitStepper {
     unit: VehicleUnit,
     inverse: Matrix,

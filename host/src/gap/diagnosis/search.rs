@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use super::candidates::{Candidate, Explored, RELIEVED, asked, put_apart_first, put_wheels_first, same_gain};
+use super::candidates::{Candidate, Explored, asked, put_apart_first, put_wheels_first, same_gain};
 use super::{LEAST_GAIN, MOST_SURE, Named, Ranked, Session};
 use crate::gap::GapError;
 use crate::gap::base::fit_variation;
@@ -27,8 +27,8 @@ pub(super) const PROBABILITY_SCALE: f64 = 4.0;
 /// Part of what a model misses beyond its covariance that an effect takes away when it is there, though clipping leaves more than it
 /// should: a mount that takes the transducer to its range takes nine tenths.
 const MENDED: f64 = 0.8;
-const ADRIFT: &str = "wheels differ over this panel by more than the model can follow: sizes are rough, and whether something else acts cannot be \
-                      told before this is mended";
+const ADRIFT: &str = "wheels differ over this panel by more than the model can follow: sizes are rough, and what else acts cannot be told before \
+                      this is mended, unless it is the recorder's and strong";
 
 /// A model before the last effect.
 pub(super) struct Confirmed {
@@ -41,6 +41,7 @@ pub(super) struct Confirmed {
 
 impl Session<'_> {
     pub(super) fn search(&mut self, progress: &dyn Progress) -> Result<(), GapError> {
+        self.searched = true;
         for number in self.named.len()..MOST_EFFECTS {
             // A round can take two effects.
             if self.named.len() >= MOST_EFFECTS {
@@ -50,10 +51,9 @@ impl Session<'_> {
             if !self.one_round(progress)? {
                 break;
             }
-            if self.adrift() {
-                self.remarks.push(ADRIFT.into());
-                break;
-            }
+        }
+        if self.adrift() && self.remarks.iter().all(|r| r != ADRIFT) {
+            self.remarks.push(ADRIFT.into());
         }
         Ok(())
     }
@@ -135,9 +135,11 @@ impl Session<'_> {
         }
         let misfit: f64 = reference.passages.iter().map(Whitened::squares).sum();
         let rings = self.rings(&reference.state);
+        let adrift = self.adrift();
         for c in &mut list {
             let of_ringing = rings && c.acts_on == ActsOn::Wheels;
-            if of_ringing || !self.worth_naming(c, earlier, misfit) {
+            let of_description = adrift && !c.beside_the_wheels();
+            if of_ringing || of_description || !self.worth_naming(c, earlier, misfit) {
                 c.gain = c.gain.min(0.5 * LEAST_GAIN);
             }
         }
@@ -323,8 +325,7 @@ impl Session<'_> {
         // Effects of single wheels have their own rule.
         if last.gained >= asked(LEAST_GAINED, earlier.described)
             || self.accepted.len() == earlier.accepted
-            || c.relief > asked(RELIEVED, earlier.described)
-            || c.mends
+            || c.relieves(earlier.described)
         {
             return Ok(true);
         }

@@ -72,17 +72,13 @@ impl Quiet {
         let omega = std::f64::consts::TAU * f_hz;
         let (mut g, mut b) = ([0.0; 3], [0.0; 2]);
         for end in ends {
-            let phase = |k: usize| omega * (end.start_s + k as f64 / RATE_HZ);
-            let [c, s] = [f64::cos, f64::sin].map(|wave| -> Vec<f64> {
-                let mut out = (0..end.value_m_s2.len()).map(|k| wave(phase(k))).collect::<Vec<_>>();
-                centre(&mut out);
-                out
-            });
-            for (sum, product) in g.iter_mut().zip([dot(&c, &c), dot(&c, &s), dot(&s, &s)]) {
+            let Sums { n, c, s, cc, cs, ss, cy, sy } = Sums::of(omega, end);
+            // Less their means: those of what is recorded are taken off already.
+            for (sum, product) in g.iter_mut().zip([cc - c * c / n, cs - c * s / n, ss - s * s / n]) {
                 *sum += product;
             }
-            b[0] += dot(&c, &end.value_m_s2);
-            b[1] += dot(&s, &end.value_m_s2);
+            b[0] += cy;
+            b[1] += sy;
         }
         let determinant = (g[0] * g[2] - g[1] * g[1]).max(f64::MIN_POSITIVE);
         let c = (g[2] * b[0] - g[1] * b[1]) / determinant;
@@ -99,6 +95,44 @@ impl Quiet {
     fn gain_alone(end: &QuietEnd, f_hz: f64) -> f64 {
         let (_, taken) = Self::amplitudes_of(std::slice::from_ref(end), f_hz);
         likelihood_ratio(dot(&end.value_m_s2, &end.value_m_s2), taken, end.value_m_s2.len())
+    }
+}
+
+/// Samples that a turning pointer runs through before it is set anew, so that rounding stays below 1e-14.
+const TURNS: usize = 64;
+
+/// Sums of products of a cosine c, a sine s and a recording y, and their number.
+#[derive(Default)]
+struct Sums {
+    n: f64,
+    c: f64,
+    s: f64,
+    cc: f64,
+    cs: f64,
+    ss: f64,
+    cy: f64,
+    sy: f64,
+}
+
+impl Sums {
+    /// Over the samples of an end; `omega` in rad/s. The cosine is turned from sample to sample: thousands of frequencies are tried.
+    fn of(omega: f64, end: &QuietEnd) -> Self {
+        let mut sums = Self { n: end.value_m_s2.len().max(1) as f64, ..Self::default() };
+        let (turn_s, turn_c) = (omega / RATE_HZ).sin_cos();
+        for (block, values) in end.value_m_s2.chunks(TURNS).enumerate() {
+            let (mut s, mut c) = (omega * (end.start_s + (block * TURNS) as f64 / RATE_HZ)).sin_cos();
+            for y in values {
+                sums.c += c;
+                sums.s += s;
+                sums.cc += c * c;
+                sums.cs += c * s;
+                sums.ss += s * s;
+                sums.cy += c * y;
+                sums.sy += s * y;
+                (c, s) = (c * turn_c - s * turn_s, s * turn_c + c * turn_s);
+            }
+        }
+        sums
     }
 }
 

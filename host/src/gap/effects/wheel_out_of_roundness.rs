@@ -3,6 +3,8 @@
 //! The wave runs along the rail with a fixed wavelength 2πR/n, so its frequency follows the speed, and its phase differs
 //! from wheel to wheel, which no property of the panel can do. 0.1 mm at order 5 is a bad wheel.
 
+use std::sync::LazyLock;
+
 use rayon::prelude::*;
 
 use crate::gap::effect::Stage;
@@ -16,8 +18,13 @@ pub struct WheelOutOfRoundness;
 const ORDERS: std::ops::RangeInclusive<u32> = 3..=16;
 /// Amplitudes tried, metres: factors of 1.12 from 5 µm on.
 const AMPLITUDES: (f64, f64, usize) = (5e-6, 1.12, 48);
-/// Phases over which a wheelset is averaged.
-const PHASES: usize = 24;
+/// Cosine and sine of the phases over which a wheelset is averaged.
+static PHASES: LazyLock<[[f64; 2]; 24]> = LazyLock::new(|| {
+    std::array::from_fn(|i| {
+        let (s, c) = (std::f64::consts::TAU * i as f64 / 24.0).sin_cos();
+        [c, s]
+    })
+});
 /// Cost of choosing order, amplitude and share, nats: 16 orders, and two well-determined numbers.
 const CHOICE: f64 = 8.0;
 
@@ -28,33 +35,28 @@ struct Shown {
 }
 
 impl Shown {
-    fn gain_at(&self, amplitude: f64, phase: f64) -> f64 {
-        let (s, c) = phase.sin_cos();
+    fn gain_at(&self, amplitude: f64, [c, s]: [f64; 2]) -> f64 {
         let quadratic = self.g[0] * c * c + 2.0 * self.g[1] * c * s + self.g[2] * s * s;
         amplitude * (self.b[0] * c + self.b[1] * s) - 0.5 * amplitude * amplitude * quadratic
     }
 
     /// Log of the likelihood ratio averaged over the phase.
     fn gain(&self, amplitude: f64) -> f64 {
-        let gains = phases().map(|p| self.gain_at(amplitude, p));
+        let gains = PHASES.iter().map(|p| self.gain_at(amplitude, *p));
         let top = gains.clone().fold(f64::NEG_INFINITY, f64::max);
-        top + (gains.map(|g| (g - top).exp()).sum::<f64>() / PHASES as f64).ln()
+        top + (gains.map(|g| (g - top).exp()).sum::<f64>() / PHASES.len() as f64).ln()
     }
 
     /// Posterior mean of (amplitude cos φ, amplitude sin φ).
     fn mean(&self, amplitude: f64) -> [f64; 2] {
-        let top = phases().map(|p| self.gain_at(amplitude, p)).fold(f64::NEG_INFINITY, f64::max);
+        let top = PHASES.iter().map(|p| self.gain_at(amplitude, *p)).fold(f64::NEG_INFINITY, f64::max);
         let (mut sum, mut c, mut s) = (0.0, 0.0, 0.0);
-        for p in phases() {
-            let w = (self.gain_at(amplitude, p) - top).exp();
-            (sum, c, s) = (sum + w, c + w * p.cos(), s + w * p.sin());
+        for p in PHASES.iter() {
+            let w = (self.gain_at(amplitude, *p) - top).exp();
+            (sum, c, s) = (sum + w, c + w * p[0], s + w * p[1]);
         }
         [amplitude * c / sum, amplitude * s / sum]
     }
-}
-
-fn phases() -> impl Iterator<Item = f64> + Clone {
-    (0..PHASES).map(|i| std::f64::consts::TAU * i as f64 / PHASES as f64)
 }
 
 impl Latent for WheelOutOfRoundness {

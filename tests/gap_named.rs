@@ -316,7 +316,7 @@ fn regress_what_hides_behind_the_floor_is_told() {
 /// Wheels differ over a void by more than the model can follow, and the search had ended there, whatever the recorder did.
 #[test]
 fn regress_a_mount_over_a_void_is_named() {
-    let mut scenario = trial(26, 137, &["voided-sleepers", "mount-resonance"]);
+    let mut scenario = trial(26, 137, &["axle-load", "voided-sleepers"]);
     let sleepers = vec![(-1, 0.5), (0, 1.0), (1, 0.5)];
     let truth_hz = 260.5;
     scenario.simulation.effects = Effects {
@@ -335,7 +335,7 @@ fn regress_a_mount_over_a_void_is_named() {
 /// named, denied, and nothing looked for instead of them.
 #[test]
 fn regress_soft_pads_and_a_mount_that_ballast_had_taken_over_are_both_named() {
-    let mut scenario = trial(30, 97, &["pad-stiffness", "mount-resonance"]);
+    let mut scenario = trial(30, 97, &["pad-stiffness", "wheel-flat"]);
     scenario.simulation.effects = Effects {
         pad_stiffness: Some(PadStiffness { factor: 0.2884, damping_factor: 1.0 }),
         mount_resonance: Some(Mount { frequency_hz: 408.6, damping_ratio: 0.1 }),

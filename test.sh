@@ -42,7 +42,9 @@ step "tests"
 # As users run it: simulations and diagnoses take half the time of a build with checked arithmetic. What runs on the node is
 # tested with checks as well.
 cargo test --package cpcm-shared --no-fail-fast
-cargo test --release --no-fail-fast
+# Apart from the others, so that the library is compiled once: all packages at once would give it the features of its benches.
+cargo test --release --package cpcm-tests --no-fail-fast
+cargo test --release --package cpcm --lib --no-fail-fast
 
 step "blind trials: 20 withheld effects, scored"
 cargo run --release --package cpcm --bin cpcm -- blind-trial --seed 7 --trials 20 --check --out target/blind-trial

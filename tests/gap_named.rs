@@ -338,7 +338,7 @@ fn regress_soft_pads_and_a_mount_that_ballast_had_taken_over_are_both_named() {
     let mut scenario = trial(30, 97, &["pad-stiffness", "wheel-flat"]);
     scenario.simulation.effects = Effects {
         pad_stiffness: Some(PadStiffness { factor: 0.2884, damping_factor: 1.0 }),
-        mount_resonance: Some(Mount { frequency_hz: 408.6, damping_ratio: 0.1 }),
+        mount_resonance: Some(Mount { frequency_hz: 408.6, damping_ratio: 0.04 }),
         ..Effects::default()
     };
     let candidates = ["pad-stiffness", "mount-resonance", "unsprung-mass", "load-transfer"];

@@ -85,10 +85,9 @@ impl Latent for WheelOutOfRoundness {
             })
             .collect();
         let (score, order, amplitude, share) = *scores.iter().max_by(|a, b| a.0.total_cmp(&b.0))?;
-        // Wheels that simply differ more than usual gain at all orders; a polygon at its own.
-        let elsewhere = scores.iter().filter(|s| s.1.abs_diff(order) >= 2).map(|s| s.0).fold(0.0, f64::max);
-        let net = score - elsewhere - CHOICE;
-        if net <= 0.0 {
+        let net = score - elsewhere(scores.iter().map(|s| (s.1, s.0)), order) - CHOICE;
+        // An amplitude at the end of those tried is none but a fit that found no other way.
+        if net <= 0.0 || amplitudes().all(|a| a <= amplitude) {
             return None;
         }
         let (lower, upper) = interval(scene, order, share, amplitude, score);
@@ -115,6 +114,16 @@ impl Latent for WheelOutOfRoundness {
             traces,
         })
     }
+}
+
+/// What other orders gain as well: wheels that simply differ more than usual gain at all of them, a polygon at its own. One that leaves
+/// the rail on its waves does so at twice its order, too, and what is left of slow shifts gains at the lowest, so that a single other
+/// order says nothing.
+fn elsewhere(scores: impl Iterator<Item = (u32, f64)>, order: u32) -> f64 {
+    let apart = |other: u32| other.abs_diff(order) >= 2 && other.abs_diff(2 * order) >= 2;
+    let mut others: Vec<f64> = scores.filter(|(other, _)| apart(*other)).map(|(_, score)| score).collect();
+    others.sort_by(|a, b| b.total_cmp(a));
+    others.get(1).map_or(0.0, |second| second.max(0.0))
 }
 
 /// What the linear response leaves out: wheels that leave the rail on their waves.
@@ -190,4 +199,21 @@ fn interval(scene: &Scene, order: u32, share: f64, amplitude: f64, score: f64) -
         a
     };
     (edge(1.0 / 1.01).min(0.92 * amplitude), edge(1.01).max(1.08 * amplitude))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Scores of two sites with waves of 0.2 mm beside steps of the baseline, and of one whose wheels differ at all orders.
+    #[test]
+    fn regress_one_other_order_says_nothing_against_waves() {
+        let of = |scores: &[(u32, f64)], order: u32| elsewhere(scores.iter().copied(), order);
+        assert_eq!(
+            of(&[(3, 109.0), (4, 3.0), (5, 0.0), (8, 164.0), (9, 9.0), (15, 17.0), (16, 86.0)], 8),
+            3.0
+        );
+        assert_eq!(of(&[(3, 101.2), (4, 0.0), (6, 101.4), (9, 0.0)], 6), 0.0);
+        assert_eq!(of(&[(3, 21415.0), (4, 20893.0), (5, 17380.0), (8, 9155.0), (10, 5977.0)], 3), 5977.0);
+    }
 }

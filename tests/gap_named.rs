@@ -324,8 +324,9 @@ fn regress_a_mount_over_a_void_is_named() {
         mount_resonance: Some(Mount { frequency_hz: truth_hz, damping_ratio: 0.068 }),
         ..Effects::default()
     };
-    let candidates = ["voided-sleepers", "mount-resonance", "stock-irregularity", "wheel-flat"];
-    let found = among(&recorded(&scenario), &candidates);
+    let mut site = recorded(&scenario);
+    site.passages.truncate(9);
+    let found = among(&site, &["voided-sleepers", "mount-resonance", "wheel-flat"]);
     assert_eq!(named(&found), ["voided-sleepers", "mount-resonance"], "{:?}", found.remarks);
     let (_, _, low, high) = found.effects[1].parameters[0];
     assert!(low < truth_hz && truth_hz < high, "{low} … {high}");

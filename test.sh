@@ -43,6 +43,7 @@ step "tests"
 # tested with checks as well.
 cargo test --package cpcm-shared --no-fail-fast
 # Apart from the others, so that the library is compiled once: all packages at once would give it the features of its benches.
+cargo test --release --package cpcm-shared --no-fail-fast
 cargo test --release --package cpcm-tests --no-fail-fast
 cargo test --release --package cpcm --lib --no-fail-fast
 

@@ -223,12 +223,9 @@ fn node(world: &World, simulator: &Simulator, axle_load_kg: f64, speed_m_s: f64)
     let sides = world.path.deviation.knots();
     let bumps = |axle: usize, among: Vec<usize>| bumps(world, simulator, (axle, among), (&here, speed_m_s));
     let front = bumps(0, (0..sides.len()).collect())?;
-    // Under both wheels on the stock rail: the same for both axles.
-    let mut rear = front.clone();
-    let crossing: Vec<usize> = (0..sides.len()).filter(|k| sides[*k].0 == Side::Crossing).collect();
-    for (k, response) in crossing.iter().zip(bumps(1, crossing.clone())?) {
-        rear[*k] = response;
-    }
+    let mut rear = bumps(1, (0..sides.len()).filter(|k| sides[*k].0 == Side::Crossing).collect())?;
+    // On the stock rail, whose knots come last, a bump is under both wheels: the same for both axles.
+    rear.extend_from_slice(&front[rear.len()..]);
     let knots = [front, rear];
     let load = |wheel: usize| -> Result<Response, GapError> {
         let mut moved = world.clone();

@@ -132,9 +132,7 @@ pub fn run(
     range_m: [f64; 2],
 ) -> Result<PassageRecord, SimulationError> {
     let passage = Passage::new(stepper, train, (surface, law), journey, range_m)?;
-    let mut underway = passage.start()?;
-    passage.advance(&mut underway, f64::INFINITY)?;
-    Ok(underway.record)
+    passage.finish(passage.start()?)
 }
 
 /// The same, halted before the first axle reaches every one of `halts_m`, travel in ascending order, metres; no contact forces.
@@ -156,11 +154,9 @@ pub fn resume(
     train: &Train,
     (surface, law): (&RunningSurface, ContactLaw),
     journey: &Journey,
-    mut underway: Underway,
+    underway: Underway,
 ) -> Result<PassageRecord, SimulationError> {
-    let passage = Passage::new(stepper, train, (surface, law), journey, NOWHERE_M)?;
-    passage.advance(&mut underway, f64::INFINITY)?;
-    Ok(underway.record)
+    Passage::new(stepper, train, (surface, law), journey, NOWHERE_M)?.finish(underway)
 }
 
 /// A range that no wheel is in.
@@ -231,7 +227,8 @@ impl<'a> Passage<'a> {
     fn advance(&self, on: &mut Underway, until_m: f64) -> Result<(), SimulationError> {
         let (dt, theta) = (self.stepper.step.dt_s, self.stepper.step.theta);
         let early = self.steps_before_record();
-        while on.step < early + self.steps() {
+        let end = early + self.steps();
+        while on.step < end {
             let step = on.step;
             let time = (step as f64 - early as f64) * dt;
             let travelled = self.travelled_m(time + theta * dt);
@@ -256,7 +253,7 @@ impl<'a> Passage<'a> {
             if step + 1 >= early {
                 on.record.sensor_m[step + 1 - early] = self.stepper.sensor_m(&on.track);
             }
-            if step % LOOK_EVERY == 0 {
+            if step.is_multiple_of(LOOK_EVERY) {
                 let largest = self.stepper.largest_m(&on.track);
                 if !largest.is_finite() {
                     return Err(SimulationError::Diverged { time_s: time });
@@ -265,6 +262,11 @@ impl<'a> Passage<'a> {
             }
         }
         Ok(())
+    }
+
+    fn finish(&self, mut on: Underway) -> Result<PassageRecord, SimulationError> {
+        self.advance(&mut on, f64::INFINITY)?;
+        Ok(on.record)
     }
 
     /// Of the record.

@@ -129,12 +129,11 @@ impl Session<'_> {
     /// found first: the search has seen a part of the passages.
     fn withdraw_what_may_be_nothing(&mut self) -> Result<(), GapError> {
         while let Some(name) = self.open() {
-            self.remarks.push(format!(
+            let why = format!(
                 "{name} would explain a part of the passages, but the interval of its size, from all of them, holds no effect at all: \
                  withdrawn"
-            ));
-            self.withdraw(name)?;
-            self.withdrawn.push(name);
+            );
+            self.deny(name, why)?;
         }
         Ok(())
     }
@@ -163,9 +162,7 @@ impl Session<'_> {
                 return Ok((predicted, gap));
             };
             let name = last.name;
-            self.remarks.push(withdrawn(name, &gap));
-            self.withdraw(name)?;
-            self.withdrawn.push(name);
+            self.deny(name, withdrawn(name, &gap))?;
         }
     }
 
@@ -176,6 +173,13 @@ impl Session<'_> {
         let responses = simulate(&after, frame, all)?;
         let latent: Vec<&LatentFit> = self.latent_fits.iter().map(|(_, f)| f).collect();
         Ok(predictions(frame, base, (&after, &responses), &latent))
+    }
+
+    /// Withdraws what passages deny that the search has not seen, and says why.
+    fn deny(&mut self, name: &'static str, why: String) -> Result<(), GapError> {
+        self.remarks.push(why);
+        self.withdrawn.push(name);
+        self.withdraw(name)
     }
 
     /// Takes one effect out of the model and out of the verdict.

@@ -41,6 +41,8 @@ const MOST_NOISE: f64 = 4.0;
 /// Wheels without a defect differ in depth by less than this, relative: the reference recordings have up to 0.08, simulated sites
 /// without effect 0.06, hollow wheels 0.27 and more.
 pub const MOST_NATURAL_DEPTH: f64 = 0.12;
+/// And in load by less than this, relative: over voids, loads and depths of the model take each other's part.
+const MOST_NATURAL_LOAD: f64 = 0.02;
 /// And in a path of their own by less than this on the crossing and on the stock side, metres: simulated sites without effect have
 /// up to 19 and 207 µm, reference recordings 45 and 212 µm, wheels that lose contact among them. It tells large flats and waves
 /// only: smaller ones look like the loss of contact.
@@ -83,6 +85,11 @@ impl Variation {
     /// response of their mean is not the mean of their responses.
     pub fn beyond_linear(&self) -> bool {
         self.load >= Self::RANGE[1][1] && self.depth >= Self::RANGE[3][1]
+    }
+
+    /// Whether wheels run over the crossing at depths that sound ones do not, and loads do not stand in for what the panel does.
+    pub fn worn(&self) -> bool {
+        self.depth > MOST_NATURAL_DEPTH && self.load < MOST_NATURAL_LOAD
     }
 
     /// Whether noise stands in for what the parts leave of the scatter: as large as it may get.

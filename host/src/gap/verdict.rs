@@ -35,16 +35,18 @@ pub fn closed(gap: &Gap) -> bool {
     excess(gap.after, gap.noise_floor) < NO_GAP
 }
 
-/// The verdict on a gap with the effects found; `untenable`: however small the gap, the path or the ballast of the model can
-/// hardly be, the operator's speeds the recorder's clock, or wheels differ more than sound ones do.
-pub fn verdict(gap: &Gap, effects: &[Named], untenable: bool) -> Verdict {
+/// The verdict on a gap with the effects found; `denied`: however small the gap, something else speaks against the model with them, so
+/// that they explain less than the gap says, by one step: path or ballast can hardly be like that, the operator's speeds show another
+/// clock, the displacement is missed, or wheels differ more than sound ones do.
+pub fn verdict(gap: &Gap, effects: &[Named], denied: bool) -> Verdict {
     let closes = excess(gap.after, gap.noise_floor) < 0.5 * NO_GAP;
-    match effects.is_empty() {
-        true if closed(gap) && !untenable => Verdict::NoGap,
-        true => Verdict::Unexplained,
-        false if !untenable && (gap.closed_fraction >= EXPLAINED || closes) => Verdict::Explained,
-        false if gap.closed_fraction >= PARTLY || closes => Verdict::PartlyExplained,
-        false => Verdict::Unexplained,
+    match (effects.is_empty(), denied) {
+        (true, false) if closed(gap) => Verdict::NoGap,
+        (true, _) => Verdict::Unexplained,
+        (false, false) if closes || gap.closed_fraction >= EXPLAINED => Verdict::Explained,
+        (false, false) if gap.closed_fraction >= PARTLY => Verdict::PartlyExplained,
+        (false, true) if gap.closed_fraction >= EXPLAINED => Verdict::PartlyExplained,
+        (false, _) => Verdict::Unexplained,
     }
 }
 
@@ -91,5 +93,9 @@ mod tests {
         assert_eq!(verdict(&gap(2.0, 1.01), &pads(), false), Verdict::Explained);
         assert_eq!(verdict(&gap(2.0, 1.01), &pads(), true), Verdict::PartlyExplained);
         assert_eq!(verdict(&gap(2.0, 1.9), &pads(), true), Verdict::Unexplained);
+        // Neither is what closes a part of it, nor a gap that was hardly there before and is as it was.
+        assert_eq!(verdict(&gap(2.0, 1.4), &pads(), false), Verdict::PartlyExplained);
+        assert_eq!(verdict(&gap(2.0, 1.4), &pads(), true), Verdict::Unexplained);
+        assert_eq!(verdict(&gap(1.03, 1.031), &pads(), true), Verdict::Unexplained);
     }
 }

@@ -152,18 +152,16 @@ impl Session<'_> {
         })
     }
 
-    /// The displacement is missed, and nothing is named: what acts on it may be a small part of the acceleration.
+    /// The displacement is missed, with whatever is named: what acts on it may be a small part of the acceleration.
     fn displacement_denial(&self) -> Result<Option<Denial>, GapError> {
-        if !self.named.is_empty() {
-            return Ok(None);
-        }
         let [_, displacement] = self.missed()?;
         let excess = displacement.excess();
+        let with = if self.named.is_empty() { "" } else { ", with the effects named," };
         Ok((excess > LEAST_DISPLACEMENT_EXCESS).then(|| Denial {
             stage: None,
             remark: format!(
-                "the sleeper's displacement departs from the model by {:.1} times what differs from bogie to bogie: look at the ballast, \
-                 for voids, and at the loads",
+                "the sleeper's displacement departs from the model{with} by {:.1} times what differs from bogie to bogie: look at the \
+                 ballast, for voids, and at the loads",
                 (1.0 + excess).sqrt()
             ),
         }))

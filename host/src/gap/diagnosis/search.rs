@@ -97,10 +97,11 @@ impl Session<'_> {
         Ok(())
     }
 
-    /// Whether wheels differ in ways that the model does not know, with an effect of the panel in it: what is looked for on top would
-    /// mend the description of that effect.
+    /// Whether wheels differ in ways that the model does not know: with an effect of the panel in it, what is looked for on top would
+    /// mend the description of that effect; without one of wheels, what their mean does would pass for the panel's.
     fn adrift(&self) -> bool {
-        !self.accepted.is_empty() && self.base.variation.beyond_linear()
+        let wheels = &self.base.variation;
+        (!self.accepted.is_empty() && wheels.beyond_linear()) || (self.of_wheels() == 0 && wheels.worn())
     }
 
     /// Tries everything on top of what is accepted; accepts the best if it is good enough.

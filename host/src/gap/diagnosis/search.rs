@@ -52,7 +52,7 @@ impl Session<'_> {
                 break;
             }
         }
-        if self.adrift() && self.remarks.iter().all(|r| r != ADRIFT) {
+        if (self.adrift() || self.worn()) && self.remarks.iter().all(|r| r != ADRIFT) {
             self.remarks.push(ADRIFT.into());
         }
         Ok(())
@@ -97,11 +97,16 @@ impl Session<'_> {
         Ok(())
     }
 
-    /// Whether wheels differ in ways that the model does not know: with an effect of the panel in it, what is looked for on top would
-    /// mend the description of that effect; without one of wheels, what their mean does would pass for the panel's.
+    /// Whether wheels differ in ways that the model does not know, with an effect of the panel in it: what is looked for on top would
+    /// mend the description of that effect.
     fn adrift(&self) -> bool {
-        let wheels = &self.base.variation;
-        (!self.accepted.is_empty() && wheels.beyond_linear()) || (self.of_wheels() == 0 && wheels.worn())
+        !self.accepted.is_empty() && self.base.variation.beyond_linear()
+    }
+
+    /// Whether wheels run at depths that sound ones do not, and none of their effects is in the model: what their mean does would pass
+    /// for the panel's.
+    fn worn(&self) -> bool {
+        self.of_wheels() == 0 && self.base.variation.worn()
     }
 
     /// Tries everything on top of what is accepted; accepts the best if it is good enough.
@@ -136,11 +141,12 @@ impl Session<'_> {
         }
         let misfit: f64 = reference.passages.iter().map(Whitened::squares).sum();
         let rings = self.rings(&reference.state);
-        let adrift = self.adrift();
+        let (adrift, worn) = (self.adrift(), self.worn());
         for c in &mut list {
             let of_ringing = rings && c.acts_on == ActsOn::Wheels;
             let of_description = adrift && !c.beside_the_wheels();
-            if of_ringing || of_description || !self.worth_naming(c, earlier, misfit) {
+            let of_mean = worn && c.acts_on == ActsOn::Panel && !c.beside_the_wheels();
+            if of_ringing || of_description || of_mean || !self.worth_naming(c, earlier, misfit) {
                 c.gain = c.gain.min(0.5 * LEAST_GAIN);
             }
         }

@@ -26,14 +26,17 @@ step "format"
 cargo fmt --all --check
 
 step "lints"
-cargo clippy --all-targets -- -D warnings
+on_the_computer="--package cpcm-shared --package cpcm --package cpcm-tests --package cpcm-benches"
+# shellcheck disable=SC2086 # several words
+cargo clippy --all-targets $on_the_computer -- -D warnings
 cargo clippy --package cpcm-shared --target thumbv7em-none-eabihf -- -D warnings
 for board in stm32 qemu; do
     cargo clippy --package cpcm-node --target thumbv7em-none-eabihf --features "board-$board" -- -D warnings
 done
 
 step "documentation"
-RUSTDOCFLAGS="-D warnings" cargo doc --no-deps
+# shellcheck disable=SC2086 # several words
+RUSTDOCFLAGS="-D warnings" cargo doc --no-deps $on_the_computer
 
 step "firmware: flash and RAM of both boards"
 cargo test --release --package cpcm-tests --test firmware -- --nocapture
@@ -42,10 +45,8 @@ step "tests"
 # As users run it: simulations and diagnoses take half the time of a build with checked arithmetic. What runs on the node is
 # tested with checks as well.
 cargo test --package cpcm-shared --no-fail-fast
-# Apart from the others, so that the library is compiled once: all packages at once would give it the features of its benches.
-cargo test --release --package cpcm-shared --no-fail-fast
-cargo test --release --package cpcm-tests --no-fail-fast
-cargo test --release --package cpcm --lib --no-fail-fast
+# Libraries and whole-system tests, which call the program as users do; together, so that the two longest compilations share the cores.
+cargo test --release --no-fail-fast --lib --test '*'
 
 step "blind trials: 20 withheld effects, scored"
 cargo run --release --package cpcm --bin cpcm -- blind-trial --seed 7 --trials 20 --check --out target/blind-trial

@@ -61,3 +61,12 @@ pub fn trial(seed: u64, index: u64, drawn: &[&str]) -> Scenario {
 pub fn recorded(scenario: &Scenario) -> Site {
     simulate(scenario, &Silent).unwrap().site
 }
+
+/// What the sensor recorded of as many passages as most effects need to be told.
+pub fn few(scenario: &Scenario) -> Site {
+    let mut few = scenario.clone();
+    few.simulation.passages = FEW;
+    recorded(&few)
+}
+
+const FEW: usize = 9;

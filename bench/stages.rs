@@ -1,8 +1,6 @@
 //! CPU time of every stage of the method on a site of 24 passages, on one core.
 //!
-//! `cargo bench -p cpcm --bench stages`
-
-mod cpu_time;
+//! `cargo bench -p cpcm-benches --bench stages`
 
 use std::hint::black_box;
 use std::path::Path;
@@ -21,7 +19,7 @@ use cpcm::progress::Silent;
 use cpcm::reconstruct::Recording;
 use cpcm::recording::{Site, read_site};
 use cpcm::track::{Mesh, Side, Track};
-use cpu_time::CpuTime;
+use cpcm_benches::CpuTime;
 use criterion::{Criterion, criterion_group, criterion_main};
 
 type Stages<'a> = criterion::BenchmarkGroup<'a, CpuTime>;
@@ -110,5 +108,5 @@ fn stages(c: &mut Criterion<CpuTime>) {
     group.finish();
 }
 
-criterion_group!(name = benches; config = cpu_time::criterion(); targets = stages);
+criterion_group!(name = benches; config = cpcm_benches::criterion(); targets = stages);
 criterion_main!(benches);

@@ -1,8 +1,6 @@
 //! CPU time of one train passage in the time domain: three cars, 24 wheels, two rails, 61 sleepers, Hertz contact, 0.1 ms.
 //!
-//! `cargo bench -p cpcm --bench passage`
-
-mod cpu_time;
+//! `cargo bench -p cpcm-benches --bench passage`
 
 use std::path::Path;
 
@@ -14,7 +12,7 @@ use cpcm::passage::{
 use cpcm::recording::{Site, read_site};
 use cpcm::track::{Mesh, Track};
 use cpcm::vehicle::AxlePattern;
-use cpu_time::CpuTime;
+use cpcm_benches::CpuTime;
 use criterion::{Criterion, criterion_group, criterion_main};
 
 const SPEED_M_S: f64 = 45.0;
@@ -72,5 +70,5 @@ fn passages(c: &mut Criterion<CpuTime>) {
     group.finish();
 }
 
-criterion_group!(name = benches; config = cpu_time::criterion(); targets = passages);
+criterion_group!(name = benches; config = cpcm_benches::criterion(); targets = passages);
 criterion_main!(benches);

@@ -145,7 +145,7 @@ impl Session<'_> {
         for c in &mut list {
             let of_ringing = rings && c.acts_on == ActsOn::Wheels;
             let of_description = adrift && !c.beside_the_wheels();
-            let of_mean = worn && c.acts_on == ActsOn::Panel && !c.beside_the_wheels();
+            let of_mean = worn && c.acts_on == ActsOn::Panel && !c.by_far();
             if of_ringing || of_description || of_mean || !self.worth_naming(c, earlier, misfit) {
                 c.gain = c.gain.min(0.5 * LEAST_GAIN);
             }

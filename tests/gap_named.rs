@@ -354,7 +354,7 @@ fn regress_what_the_withdrawn_stood_in_for_is_looked_for() {
         ballast_stiffening: Some(BallastStiffening { doubling_m: 0.5169e-3, bilinear_factor: None }),
         ..Effects::default()
     };
-    let found = among(&few(&scenario), &["unsprung-mass", "ballast-stiffening"]);
+    let found = among(&recorded(&scenario), &["unsprung-mass", "ballast-stiffening"]);
     assert!(says(&found, "withdrawn"), "{:?} {:?}", named(&found), found.remarks);
     assert_eq!(named(&found), ["ballast-stiffening"], "{:?}", found.remarks);
 }

@@ -26,17 +26,15 @@ step "format"
 cargo fmt --all --check
 
 step "lints"
-on_the_computer="--package cpcm-shared --package cpcm --package cpcm-tests --package cpcm-benches"
-# shellcheck disable=SC2086 # several words
-cargo clippy --all-targets $on_the_computer -- -D warnings
+# The benches as well, which plain commands leave out.
+cargo clippy --all-targets --workspace --exclude cpcm-node -- -D warnings
 cargo clippy --package cpcm-shared --target thumbv7em-none-eabihf -- -D warnings
 for board in stm32 qemu; do
     cargo clippy --package cpcm-node --target thumbv7em-none-eabihf --features "board-$board" -- -D warnings
 done
 
 step "documentation"
-# shellcheck disable=SC2086 # several words
-RUSTDOCFLAGS="-D warnings" cargo doc --no-deps $on_the_computer
+RUSTDOCFLAGS="-D warnings" cargo doc --no-deps --workspace --exclude cpcm-node
 
 step "firmware: flash and RAM of both boards"
 cargo test --release --package cpcm-tests --test firmware -- --nocapture

@@ -62,11 +62,11 @@ pub fn recorded(scenario: &Scenario) -> Site {
     simulate(scenario, &Silent).unwrap().site
 }
 
+const FEW: usize = 9;
+
 /// What the sensor recorded of as many passages as most effects need to be told.
 pub fn few(scenario: &Scenario) -> Site {
     let mut few = scenario.clone();
     few.simulation.passages = FEW;
     recorded(&few)
 }
-
-const FEW: usize = 9;

@@ -16,7 +16,7 @@ use crate::gap::effect::Stage;
 use crate::gap::forward::BAND_HZ;
 use crate::gap::latent::{Latent, LatentFit, Scene};
 use crate::signal::{
-    between, centre, dot, irfft, mean, quantile, rfft, rfft_frequencies_hz, sum_in_order, taper,
+    between, centre, dot, freed, irfft, mean, quantile, rfft, rfft_frequencies_hz, sum_in_order, taper,
 };
 
 /// See the module.
@@ -38,6 +38,8 @@ const PER_STEP: f64 = 2.0;
 /// there, m/s²: of 23 simulated sites with steps all but the weakest reach 0.55, no other site 0.02, ringing voids and interference
 /// included; recordings without either have less than 0.02 m/s².
 const APART: (f64, f64) = (0.5, 0.05);
+/// Values that a train-free end is filled up to with noughts, so that the strongest of its frequencies is found within 0.2 Hz.
+const TONE_LINES: usize = 4096;
 /// The sensor's high pass and the errors of the model leave the mean step this uncertain, relative; and the decay, as a factor.
 const STEP_ERROR: f64 = 0.08;
 const DECAY_FACTOR: f64 = 1.3;
@@ -229,8 +231,8 @@ impl Edge {
     }
 }
 
-/// Share of the energy of the train-free ends, about their mean, that a baseline explains which is level before the train and decays
-/// behind it; and its size at the first value there, m/s².
+/// Share of the energy of the train-free ends, about their mean and without the strongest tone in them, that a baseline explains which is
+/// level before the train and decays behind it; and its size at the first value there, m/s².
 fn decaying([before, behind]: &[QuietEnd; 2], decay_s: f64) -> (f64, f64) {
     let mut y = [&before.value_m_s2[..], &behind.value_m_s2[..]].concat();
     let fall = (0..behind.value_m_s2.len()).map(|k| (-(k as f64) / (RATE_HZ * decay_s)).exp());
@@ -238,8 +240,34 @@ fn decaying([before, behind]: &[QuietEnd; 2], decay_s: f64) -> (f64, f64) {
     for v in [&mut x, &mut y] {
         centre(v);
     }
+    // Interference is louder than a baseline that does not hide it.
+    let size_m_s2 = dot(&x, &y) / dot(&x, &x).max(f64::MIN_POSITIVE);
+    let rest: Vec<f64> = y.iter().zip(&x).map(|(y, x)| y - size_m_s2 * x).collect();
+    let tone = strongest_tone(&rest, before.value_m_s2.len());
+    let tone: Vec<&[f64]> = tone.iter().map(Vec::as_slice).collect();
+    let (x, y) = (freed(&x, &tone), freed(&y, &tone));
     let size_m_s2 = dot(&x, &y) / dot(&x, &x).max(f64::MIN_POSITIVE);
     (size_m_s2 * dot(&x, &y) / dot(&y, &y).max(f64::MIN_POSITIVE), size_m_s2)
+}
+
+/// Cosine and sine in each of two ends, of `first` values and the rest, at the frequency that is strongest in both together.
+fn strongest_tone(ends: &[f64], first: usize) -> Vec<Vec<f64>> {
+    let (before, behind) = ends.split_at(first.min(ends.len()));
+    let spectra = [before, behind].map(|end| {
+        let mut padded = end.to_vec();
+        padded.resize(TONE_LINES.max(end.len()), 0.0);
+        rfft(&padded)
+    });
+    let lines = rfft_frequencies_hz(TONE_LINES, RATE_HZ);
+    let power = |k: usize| spectra.iter().filter_map(|s| s.get(k)).map(|v| v.norm_sqr()).sum::<f64>();
+    let in_band = (0..lines.len()).filter(|k| (LOW_HZ[1]..BAND_HZ[0]).contains(&lines[*k]));
+    let Some(strongest) = in_band.max_by(|a, b| power(*a).total_cmp(&power(*b))) else { return Vec::new() };
+    let omega = std::f64::consts::TAU * lines[strongest] / RATE_HZ;
+    let column = |of: fn(f64) -> f64, end: usize| -> Vec<f64> {
+        let inside = |k: usize| usize::from(k >= before.len()) == end;
+        (0..ends.len()).map(|k| if inside(k) { of(omega * k as f64) } else { 0.0 }).collect()
+    };
+    [0, 1].into_iter().flat_map(|end| [column(f64::cos, end), column(f64::sin, end)]).collect()
 }
 
 fn low(values: &[f64]) -> Vec<f64> {
@@ -297,6 +325,24 @@ mod tests {
         }
         let (share, found) = decaying(&ends(0.0, 0.3), 0.3);
         assert!(share < APART.0 && found.abs() < APART.1, "{share} {found}");
+    }
+
+    #[test]
+    fn regress_a_baseline_decays_beside_interference() {
+        let beside = |size_m_s2: f64| {
+            let mut ends = ends(size_m_s2, 0.7);
+            for end in &mut ends {
+                end.value_m_s2
+                    .iter_mut()
+                    .enumerate()
+                    .for_each(|(k, v)| *v += 3.9 * (0.1605 * k as f64 + 1.0).sin());
+            }
+            decaying(&ends, 0.7)
+        };
+        let (share, found) = beside(1.5);
+        assert!(share > APART.0 && (found - 1.5).abs() < 0.05, "{share} {found}");
+        let (share, _) = beside(0.0);
+        assert!(share < APART.0, "{share}");
     }
 
     #[test]

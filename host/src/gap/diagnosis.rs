@@ -309,9 +309,14 @@ impl<'a> Session<'a> {
         session
     }
 
+    /// Fit of the current model.
+    fn current(&self) -> &Fit {
+        self.fit.as_ref().unwrap_or(&self.base.fit)
+    }
+
     /// Squared misfit per value of the current model.
     fn misfit(&self) -> f64 {
-        self.fit.as_ref().unwrap_or(&self.base.fit).inflation()
+        self.current().inflation()
     }
 
     fn state(&self) -> State {

@@ -23,6 +23,10 @@ const SHUFFLES: usize = 999;
 /// interference have up to 1.1 times of it, a tone of 0.23 m/s² 4.7 times.
 const MORE_THAN_NOISE: f64 = 2.0;
 
+/// How far the displacement may be above what differs from bogie to bogie, in squares, with the effects that are there: 0.30 on a recording
+/// of a clock that is 1.5 % wrong and beside clipping over voids; stand-ins for what is left out of the catalogue leave 0.76 to 0.87.
+const MOST_DISPLACEMENT_LEFT: f64 = 0.5;
+
 /// What speaks against a model from outside its residual.
 pub(super) struct Denial {
     /// Where it points, if anywhere.
@@ -156,8 +160,11 @@ impl Session<'_> {
     fn displacement_denial(&self) -> Result<Option<Denial>, GapError> {
         let [_, displacement] = self.missed()?;
         let excess = displacement.excess();
-        let with = if self.named.is_empty() { "" } else { ", with the effects named," };
-        Ok((excess > LEAST_DISPLACEMENT_EXCESS).then(|| Denial {
+        let (with, most) = match self.named.is_empty() {
+            true => ("", LEAST_DISPLACEMENT_EXCESS),
+            false => (", with the effects named,", MOST_DISPLACEMENT_LEFT),
+        };
+        Ok((excess > most).then(|| Denial {
             stage: None,
             remark: format!(
                 "the sleeper's displacement departs from the model{with} by {:.1} times what differs from bogie to bogie: look at the \

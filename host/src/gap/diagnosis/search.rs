@@ -12,7 +12,7 @@ use crate::gap::fit::{Fit, FitOptions, State, Whitened, fit, settled, simulate};
 use crate::gap::forward::Response;
 use crate::gap::latent::{LatentFit, Scene};
 use crate::gap::measure::{self, ALIGN_M, Missed, Prediction};
-use crate::gap::select::{Standing, Tried, gain, round};
+use crate::gap::select::{Standing, Tried, fit_in_place, gain, round};
 use crate::gap::world::SensorModel;
 use crate::progress::Progress;
 
@@ -75,8 +75,8 @@ impl Session<'_> {
         Ok(())
     }
 
-    /// Takes an effect into the model with which that misses the recordings by no more than `most` (squares, per value), or by far
-    /// less than before; none that leaves more.
+    /// Takes an effect into the model with which that misses the recordings by no more than `most` (squares, per value), by far less than
+    /// before, or by no more than clipping alone leaves; none that leaves it lost.
     pub(super) fn search_what_mends(&mut self, most: f64, progress: &dyn Progress) -> Result<(), GapError> {
         progress.begin("effects that mend the model", 2);
         let mended = self.misfit() - MENDED * (self.misfit() - 1.0);
@@ -87,7 +87,7 @@ impl Session<'_> {
             // From afar, one fit does not get there.
             self.fit = Some(settled(&self.base.frame, &self.accepted, self.state(), self.search)?);
         }
-        if self.misfit() <= most.max(mended) {
+        if self.misfit() <= most.max(mended) || !self.current().lost() {
             return Ok(());
         }
         if let Some(name) = self.named.last().map(|n| n.name) {
@@ -353,9 +353,26 @@ impl Session<'_> {
         let options = FitOptions::default();
         if self.accepted.is_empty() {
             self.base.fit = fit(&self.base.frame, &[], state, self.search, options)?;
+            self.find_back()?;
         } else {
             self.fit = Some(fit(&self.base.frame, &self.accepted, state, self.search, options)?);
         }
+        Ok(())
+    }
+
+    /// A base model that is lost where something has been taken out of the windows may have been led astray by that, and does not find
+    /// back by itself: it is fitted again from nominal ballast.
+    fn find_back(&mut self) -> Result<(), GapError> {
+        if !self.base.fit.lost() {
+            return Ok(());
+        }
+        let start = self.base.fit.state.on_nominal_ballast();
+        let again = fit_in_place(&self.base.frame, &[], start, self.search, FitOptions::THOROUGH);
+        let Some(again) = again.filter(|a| a.log_posterior > self.base.fit.log_posterior) else {
+            return Ok(());
+        };
+        fit_variation(self.base, &[], &again.state, self.search)?;
+        self.base.fit = fit(&self.base.frame, &[], again.state, self.search, FitOptions::default())?;
         Ok(())
     }
 

@@ -87,7 +87,7 @@ impl Prior {
             own: Spread { region: 4e3, outside: 0.7e3, stock: 0.4e3 },
             slow_n: 1.5e3,
             // At the low sampling the load competes with the ballast; here it is the wheels' own, weighed one by one.
-            load_sd: 0.04,
+            load_sd: 0.025,
             correlation_m: 0.07,
             noise_m_s2: 0.06,
             half_m: 4.5,

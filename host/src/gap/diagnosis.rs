@@ -200,7 +200,7 @@ pub fn diagnose(
     }
     // Then one effect can, where it is worse than clipping alone makes it, and nothing is told from what clipping has destroyed.
     if searched && spoilt(&session) && session.base.fit.lost() {
-        session.search_what_mends(CLIPPED_MISFIT, progress)?;
+        session.search_what_mends(progress)?;
     }
     if spoilt(&session) {
         session.remarks.push(

@@ -75,9 +75,9 @@ impl Session<'_> {
         Ok(())
     }
 
-    /// Takes an effect into the model with which that misses the recordings by no more than `most` (squares, per value), by far less than
-    /// before, or by no more than clipping alone leaves; none that leaves it lost.
-    pub(super) fn search_what_mends(&mut self, most: f64, progress: &dyn Progress) -> Result<(), GapError> {
+    /// Takes an effect into the model with which that is not lost, as little as with clipping alone, or misses the recordings by far less
+    /// than before.
+    pub(super) fn search_what_mends(&mut self, progress: &dyn Progress) -> Result<(), GapError> {
         progress.begin("effects that mend the model", 2);
         let mended = self.misfit() - MENDED * (self.misfit() - 1.0);
         if !self.one_round(progress)? {
@@ -87,7 +87,7 @@ impl Session<'_> {
             // From afar, one fit does not get there.
             self.fit = Some(settled(&self.base.frame, &self.accepted, self.state(), self.search)?);
         }
-        if self.misfit() <= most.max(mended) || !self.current().lost() {
+        if !self.current().lost() || self.misfit() <= mended {
             return Ok(());
         }
         if let Some(name) = self.named.last().map(|n| n.name) {

@@ -16,7 +16,7 @@ use crate::gap::effect::Stage;
 use crate::gap::forward::BAND_HZ;
 use crate::gap::latent::{Latent, LatentFit, Scene};
 use crate::signal::{
-    between, centre, dot, freed, irfft, mean, quantile, rfft, rfft_frequencies_hz, sum_in_order, taper,
+    between, dot, freed, irfft, mean, quantile, rfft, rfft_frequencies_hz, sum_in_order, taper,
 };
 
 /// See the module.
@@ -234,15 +234,11 @@ impl Edge {
 /// Share of the energy of the train-free ends, about their mean and without the strongest tone in them, that a baseline explains which is
 /// level before the train and decays behind it; and its size at the first value there, m/s².
 fn decaying([before, behind]: &[QuietEnd; 2], decay_s: f64) -> (f64, f64) {
-    let mut y = [&before.value_m_s2[..], &behind.value_m_s2[..]].concat();
+    let y = [&before.value_m_s2[..], &behind.value_m_s2[..]].concat();
     let fall = (0..behind.value_m_s2.len()).map(|k| (-(k as f64) / (RATE_HZ * decay_s)).exp());
-    let mut x: Vec<f64> = before.value_m_s2.iter().map(|_| 0.0).chain(fall).collect();
-    for v in [&mut x, &mut y] {
-        centre(v);
-    }
-    // Interference is louder than a baseline that does not hide it.
-    let size_m_s2 = dot(&x, &y) / dot(&x, &x).max(f64::MIN_POSITIVE);
-    let rest: Vec<f64> = y.iter().zip(&x).map(|(y, x)| y - size_m_s2 * x).collect();
+    let x: Vec<f64> = before.value_m_s2.iter().map(|_| 0.0).chain(fall).collect();
+    // Interference may be louder than the baseline, and hides nothing of it.
+    let rest = freed(&y, &[&x]);
     let tone = strongest_tone(&rest, before.value_m_s2.len());
     let tone: Vec<&[f64]> = tone.iter().map(Vec::as_slice).collect();
     let (x, y) = (freed(&x, &tone), freed(&y, &tone));

@@ -26,15 +26,16 @@ step "format"
 cargo fmt --all --check
 
 step "lints"
-# The benches as well, which plain commands leave out.
-cargo clippy --all-targets --workspace --exclude cpcm-node -- -D warnings
-cargo clippy --package cpcm-shared --target thumbv7em-none-eabihf -- -D warnings
+# The benches as well, which plain commands leave out. Of the release profile, so that build scripts, procedural macros and zstd are
+# compiled once for lints, documentation and tests.
+cargo clippy --release --all-targets --workspace --exclude cpcm-node -- -D warnings
+cargo clippy --release --package cpcm-shared --target thumbv7em-none-eabihf -- -D warnings
 for board in stm32 qemu; do
-    cargo clippy --package cpcm-node --target thumbv7em-none-eabihf --features "board-$board" -- -D warnings
+    cargo clippy --release --package cpcm-node --target thumbv7em-none-eabihf --features "board-$board" -- -D warnings
 done
 
 step "documentation"
-RUSTDOCFLAGS="-D warnings" cargo doc --no-deps --workspace --exclude cpcm-node
+RUSTDOCFLAGS="-D warnings" cargo doc --release --no-deps --workspace --exclude cpcm-node
 
 step "firmware: flash and RAM of both boards"
 cargo test --release --package cpcm-tests --test firmware -- --nocapture

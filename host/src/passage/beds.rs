@@ -2,8 +2,8 @@
 
 use pulp::Simd;
 
-use super::model::{CHUNK, Lanes, TrackModel};
-use super::sleepers::{SleeperState, Sleepers};
+use super::model::{BLOCK, CHUNK, Lanes, TrackModel};
+use super::sleepers::{SleeperState, Sleepers, block_range};
 use super::support::{Support, SupportLaw};
 use super::vectors::{of_chunks, of_chunks_mut, parts, vectors};
 
@@ -96,16 +96,23 @@ impl NonlinearBeds {
             for (shapes, length) in sleepers.points.iter().zip(&self.tributary_m) {
                 for part in 0..p {
                     let (mut w, mut rate) = (simd.splat_f64s(0.0), simd.splat_f64s(0.0));
-                    for (i, shape) in shapes.iter().enumerate() {
-                        let shape = simd.splat_f64s(*shape);
-                        w = simd.mul_add_f64s(shape, u[i * p + part], w);
-                        rate = simd.mul_add_f64s(shape, rates[i * p + part], rate);
+                    for (block, shape) in shapes.iter().enumerate() {
+                        let of = block_range::<S>(block * BLOCK);
+                        let (u, rates) = (&u[of.clone()], &rates[of]);
+                        for (i, shape) in shape.iter().enumerate() {
+                            let shape = simd.splat_f64s(*shape);
+                            w = simd.mul_add_f64s(shape, u[i * p + part], w);
+                            rate = simd.mul_add_f64s(shape, rates[i * p + part], rate);
+                        }
                     }
                     let force = laws.force(simd, part, simd.mul_add_f64s(ahead, rate, w), rate);
                     let force = simd.mul_f64s(simd.splat_f64s(-length), force);
-                    for (i, shape) in shapes.iter().enumerate() {
-                        let at = i * p + part;
-                        total[at] = simd.mul_add_f64s(simd.splat_f64s(*shape), force, total[at]);
+                    for (block, shape) in shapes.iter().enumerate() {
+                        let total = &mut total[block_range::<S>(block * BLOCK)];
+                        for (i, shape) in shape.iter().enumerate() {
+                            let at = i * p + part;
+                            total[at] = simd.mul_add_f64s(simd.splat_f64s(*shape), force, total[at]);
+                        }
                     }
                 }
             }

@@ -45,54 +45,71 @@ impl SeatChain {
         Some(Self { inverse, eliminate, substitute, middle })
     }
 
-    /// Solves in place.
+    /// Motion `x` under the loads `rhs`, rows of the same value of every seat; `collected` is spoilt.
     #[inline(always)]
-    pub fn solve(&self, x: &mut [Seat]) {
-        let (n, m) = (x.len().min(self.inverse.len()), self.middle);
-        let (left, rest) = x[..n].split_at_mut(m);
-        let Some((middle, right)) = rest.split_first_mut() else { return };
+    pub fn solve(&self, rhs: [&[f64]; 4], collected: &mut [Seat], mut x: [&mut [f64]; 4]) {
+        let (n, m) = (collected.len().min(self.inverse.len()), self.middle);
+        if n == 0 {
+            return;
+        }
         let (mut from_left, mut from_right) = ([0.0; 4], [0.0; 4]);
-        let pairs = left.len().min(right.len());
+        let (left, right) = (m, n - 1 - m);
+        let pairs = left.min(right);
         for j in 0..pairs {
-            from_left = step(&self.eliminate[j], &mut left[j], from_left);
-            from_right = step(&self.eliminate[n - 1 - j], &mut right[n - 2 - m - j], from_right);
+            from_left = self.collect(j, &rhs, collected, from_left);
+            from_right = self.collect(n - 1 - j, &rhs, collected, from_right);
         }
-        for j in pairs..left.len() {
-            from_left = step(&self.eliminate[j], &mut left[j], from_left);
+        for j in pairs..left {
+            from_left = self.collect(j, &rhs, collected, from_left);
         }
-        for j in pairs..right.len() {
-            from_right = step(&self.eliminate[n - 1 - j], &mut right[n - 2 - m - j], from_right);
+        for j in pairs..right {
+            from_right = self.collect(n - 1 - j, &rhs, collected, from_right);
         }
-        let load = add(&add(middle, &from_left), &from_right);
-        *middle = apply(&self.inverse[m], &load, &[0.0; 4]);
-        let (mut known_left, mut known_right) = (*middle, *middle);
+        let load = add(&add(&seat(&rhs, m), &from_left), &from_right);
+        let middle = apply(&self.inverse[m], &load, &[0.0; 4]);
+        set_seat(&mut x, m, middle);
+        let (mut known_left, mut known_right) = (middle, middle);
         for j in 0..pairs {
-            let (l, r) = (m - 1 - j, m + 1 + j);
-            known_left = self.recover(l, &mut left[l], known_left);
-            known_right = self.recover(r, &mut right[j], known_right);
+            known_left = self.recover(m - 1 - j, collected, &mut x, known_left);
+            known_right = self.recover(m + 1 + j, collected, &mut x, known_right);
         }
-        for l in (0..left.len() - pairs).rev() {
-            known_left = self.recover(l, &mut left[l], known_left);
+        for j in pairs..left {
+            known_left = self.recover(m - 1 - j, collected, &mut x, known_left);
         }
-        for j in pairs..right.len() {
-            known_right = self.recover(m + 1 + j, &mut right[j], known_right);
+        for j in pairs..right {
+            known_right = self.recover(m + 1 + j, collected, &mut x, known_right);
         }
+    }
+
+    /// Collects the load of a seat with what comes from outside; returns what goes on towards the middle.
+    #[inline(always)]
+    fn collect(&self, at: usize, rhs: &[&[f64]; 4], collected: &mut [Seat], from_outside: Seat) -> Seat {
+        let load = add(&seat(rhs, at), &from_outside);
+        collected[at] = load;
+        apply(&self.eliminate[at], &load, &[0.0; 4])
     }
 
     /// Motion of a seat, whose load was collected, from that of its neighbour.
     #[inline(always)]
-    fn recover(&self, at: usize, seat: &mut Seat, known: Seat) -> Seat {
-        let own = apply(&self.inverse[at], seat, &[0.0; 4]);
-        *seat = apply(&self.substitute[at], &known, &own);
-        *seat
+    fn recover(&self, at: usize, collected: &[Seat], x: &mut [&mut [f64]; 4], known: Seat) -> Seat {
+        let own = apply(&self.inverse[at], &collected[at], &[0.0; 4]);
+        let motion = apply(&self.substitute[at], &known, &own);
+        set_seat(x, at, motion);
+        motion
     }
 }
 
-/// Collects the load of a seat with what comes from outside; returns what goes on towards the middle.
+/// Values of one seat.
 #[inline(always)]
-fn step(eliminate: &Block, seat: &mut Seat, from_outside: Seat) -> Seat {
-    *seat = add(seat, &from_outside);
-    apply(eliminate, seat, &[0.0; 4])
+fn seat(rows: &[&[f64]; 4], at: usize) -> Seat {
+    [rows[0][at], rows[1][at], rows[2][at], rows[3][at]]
+}
+
+#[inline(always)]
+fn set_seat(rows: &mut [&mut [f64]; 4], at: usize, values: Seat) {
+    for (row, value) in rows.iter_mut().zip(values) {
+        row[at] = value;
+    }
 }
 
 #[inline(always)]
@@ -158,18 +175,23 @@ mod tests {
                 .map(|k| std::array::from_fn(|i| std::array::from_fn(|j| value(i, j, 0.3 + k as f64))))
                 .collect();
             let rhs: Vec<Seat> = (0..n).map(|k| std::array::from_fn(|i| value(i, k, 0.9))).collect();
-            let mut x = rhs.clone();
-            SeatChain::new(diagonal.clone(), &upper).unwrap().solve(&mut x);
+            let rows: [Vec<f64>; 4] = std::array::from_fn(|r| rhs.iter().map(|seat| seat[r]).collect());
+            let mut x = rows.clone();
+            SeatChain::new(diagonal.clone(), &upper).unwrap().solve(
+                rows.each_ref().map(|row| &row[..]),
+                &mut rhs.clone(),
+                x.each_mut().map(|row| &mut row[..]),
+            );
             for i in 0..n {
                 for r in 0..4 {
                     let mut sum = 0.0;
                     for k in 0..4 {
-                        sum += diagonal[i][r][k] * x[i][k];
+                        sum += diagonal[i][r][k] * x[k][i];
                         if i > 0 {
-                            sum += upper[i - 1][k][r] * x[i - 1][k];
+                            sum += upper[i - 1][k][r] * x[k][i - 1];
                         }
                         if i + 1 < n {
-                            sum += upper[i][r][k] * x[i + 1][k];
+                            sum += upper[i][r][k] * x[k][i + 1];
                         }
                     }
                     assert!((sum - rhs[i][r]).abs() < 1e-12, "{n} {i} {r}");

@@ -7,9 +7,9 @@ use pulp::Simd;
 
 use super::chain::{Block, Seat, SeatChain};
 use super::error::SimulationError;
-use super::model::{Layout, TrackModel};
+use super::model::{CHUNK, Lanes, Layout, TrackModel};
 use super::sleepers::Sleepers;
-use super::vectors::{Aligned, vectors, vectors_mut};
+use super::vectors::{Aligned, parts, vectors, vectors_mut};
 
 /// Shares of mass, damping and stiffness in the effective matrix.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -23,21 +23,25 @@ pub(super) struct Shares {
 #[derive(Clone, Debug)]
 pub(super) struct Effective {
     layout: Layout,
-    /// `[(i · m + j) · row + lane]`, m values inside a bay.
-    interior_inverse: Aligned<f64>,
-    /// `[(i · 4 + a) · row + lane]`: motion inside the bay per motion of its two seats.
-    interior_gain: Aligned<f64>,
+    /// Loads on seats per load inside the bay behind and the bay before them, `[node in bay · chunks + chunk][a · 4 + k]`: on degree
+    /// of freedom a, of the node's deflection and rotation behind, then before.
+    eliminate: Aligned<[Lanes; 8]>,
+    /// Motion inside the bay per motion of its two seats, `[node in bay · chunks + chunk][i · 4 + a]`.
+    gain: Aligned<[Lanes; 8]>,
+    /// Motion inside the bay per load there, `[(node · nodes + loaded node) · chunks + chunk][i · 2 + j]`.
+    inverse: Aligned<[Lanes; 4]>,
     chain: SeatChain,
 }
 
 impl Effective {
     pub fn new(model: &TrackModel, sleepers: &Sleepers, shares: Shares) -> Result<Self, SimulationError> {
         let layout = model.layout;
-        let m = 2 * (layout.nodes_per_bay - 1);
+        let (inside, chunks) = (layout.nodes_per_bay - 1, layout.lanes() / CHUNK);
         let mut effective = Self {
             layout,
-            interior_inverse: avec![0.0; m * m * layout.row],
-            interior_gain: avec![0.0; 4 * m * layout.row],
+            eliminate: avec![[[0.0; CHUNK]; 8]; inside * chunks],
+            gain: avec![[[0.0; CHUNK]; 8]; inside * chunks],
+            inverse: avec![[[0.0; CHUNK]; 4]; inside * inside * chunks],
             chain: SeatChain::default(),
         };
         let mut diagonal: Vec<Block> =
@@ -87,15 +91,7 @@ impl Effective {
                 .inverse();
             let gain = &inverse * &outer;
             seats -= outer.transpose() * &gain;
-            let lane = side * self.layout.stride + bay;
-            for i in 0..m {
-                for j in 0..m {
-                    self.interior_inverse[(i * m + j) * self.layout.row + lane] = inverse[(i, j)];
-                }
-                for a in 0..4 {
-                    self.interior_gain[(i * 4 + a) * self.layout.row + lane] = -gain[(i, a)];
-                }
-            }
+            self.store_bay(side * self.layout.stride + bay, &inverse, &gain);
         }
         for i in 0..2 {
             for j in 0..2 {
@@ -108,37 +104,61 @@ impl Effective {
         Ok(())
     }
 
-    /// Motion `x` of the rails under `rhs`, which is spoilt.
+    /// Files what was found of the bay of one lane.
+    fn store_bay(&mut self, lane: usize, inverse: &DMatrix<f64>, gain: &DMatrix<f64>) {
+        let (inside, chunks) = (self.layout.nodes_per_bay - 1, self.layout.lanes() / CHUNK);
+        let (at, next) = ([lane / CHUNK, lane % CHUNK], [(lane + 1) / CHUNK, (lane + 1) % CHUNK]);
+        for i in 0..2 * inside {
+            let (node, of) = (i / 2, i % 2);
+            for a in 0..4 {
+                self.gain[node * chunks + at[0]][of * 4 + a][at[1]] = -gain[(i, a)];
+                let seat = if a < 2 { at } else { next };
+                self.eliminate[node * chunks + seat[0]][a % 2 * 4 + a / 2 * 2 + of][seat[1]] = -gain[(i, a)];
+            }
+            for j in 0..2 * inside {
+                self.inverse[(node * inside + j / 2) * chunks + at[0]][of * 2 + j % 2][at[1]] =
+                    inverse[(i, j)];
+            }
+        }
+    }
+
+    /// Motion `x` of the rails under `rhs`, which is spoilt, as is `seats`.
     #[inline(always)]
     pub fn solve_rails<S: Simd>(&self, simd: S, rhs: &mut [f64], x: &mut [f64], seats: &mut [Seat]) {
         self.eliminate_bays(simd, rhs);
-        let (row, stride, n) = (self.layout.row, self.layout.stride, seats.len());
-        let places = [0, row, stride, row + stride];
-        let loads = places.map(|at| &rhs[at..at + n]);
-        for (s, seat) in seats.iter_mut().enumerate() {
-            *seat = loads.map(|row| row[s]);
-        }
-        self.chain.solve(seats);
-        for (a, at) in places.into_iter().enumerate() {
-            for (value, seat) in x[at..at + n].iter_mut().zip(&*seats) {
-                *value = seat[a];
-            }
-        }
+        let (row, stride) = (self.layout.row, self.layout.stride);
+        let n = seats.len();
+        let loads = [0, row, stride, row + stride].map(|at| &rhs[at..at + n]);
+        let (deflection, rotation) = x.split_at_mut(row);
+        let ((w0, w1), (t0, t1)) = (deflection.split_at_mut(stride), rotation.split_at_mut(stride));
+        self.chain.solve(loads, seats, [w0, t0, w1, t1]);
         self.recover_bays(simd, rhs, x);
     }
 
     /// Loads inside the bays, moved to the seats.
     #[inline(always)]
     fn eliminate_bays<S: Simd>(&self, simd: S, rhs: &mut [f64]) {
-        let (row, lanes, m) = (self.layout.row, self.layout.lanes(), 2 * (self.layout.nodes_per_bay - 1));
-        let (seats, interior) = rhs.split_at_mut(2 * row);
-        for pair in 0..m / 2 {
-            let loads = [2 * pair, 2 * pair + 1].map(|i| vectors::<S>(&interior[i * row..i * row + lanes]));
-            for a in 0..4 {
-                let gains = [2 * pair, 2 * pair + 1].map(|i| self.gain::<S>(i, a));
-                let start = (a % 2) * row + a / 2;
-                let target = vectors_mut::<S>(&mut seats[start..start + lanes]);
-                add_products(simd, target, &gains, &loads);
+        let (row, lanes, p) = (self.layout.row, self.layout.lanes(), parts::<S>());
+        let (chunks, count) = (lanes / CHUNK, lanes / CHUNK * p);
+        // The lane before the first one of a row is read; it belongs to the end of the row before, which is zero.
+        let (seats, inside) = rhs.split_at_mut(2 * row - CHUNK);
+        let (deflection, rotation) = seats.split_at_mut(row);
+        let [deflection, rotation] = [deflection, rotation].map(|row| &mut vectors_mut::<S>(row)[..count]);
+        for (node, factors) in self.eliminate.chunks_exact(chunks).enumerate() {
+            // A seat is an end of the bay behind it and of the bay before it, one lane back.
+            let loads = [(0, 0), (1, 0), (0, 1), (1, 1)]
+                .map(|(of, back)| &vectors::<S>(&inside[CHUNK + (2 * node + of) * row - back..])[..count]);
+            for (chunk, factors) in factors.iter().enumerate() {
+                for part in 0..p {
+                    let at = chunk * p + part;
+                    let mut sums = [deflection[at], rotation[at]];
+                    for (sum, factors) in sums.iter_mut().zip(factors.as_chunks::<4>().0) {
+                        for (factor, loads) in factors.iter().zip(&loads) {
+                            *sum = simd.mul_add_f64s(vectors::<S>(factor)[part], loads[at], *sum);
+                        }
+                    }
+                    [deflection[at], rotation[at]] = sums;
+                }
             }
         }
     }
@@ -146,67 +166,43 @@ impl Effective {
     /// Motion inside the bays from loads there and motion of the seats.
     #[inline(always)]
     fn recover_bays<S: Simd>(&self, simd: S, loads: &[f64], x: &mut [f64]) {
-        let (row, lanes, m) = (self.layout.row, self.layout.lanes(), 2 * (self.layout.nodes_per_bay - 1));
-        let (seats, interior) = x.split_at_mut(2 * row);
-        let seats = [0, row, 1, row + 1].map(|at| vectors::<S>(&seats[at..at + lanes]));
-        for i in 0..m {
-            let target = vectors_mut::<S>(&mut interior[i * row..i * row + lanes]);
-            set_products(simd, target, &[0, 1, 2, 3].map(|a| self.gain::<S>(i, a)), &seats);
-            for pair in 0..m / 2 {
-                let of = [2 * pair, 2 * pair + 1];
-                let inverse = of.map(|j| {
-                    let at = (i * m + j) * row;
-                    vectors::<S>(&self.interior_inverse[at..at + lanes])
-                });
-                let loads = of.map(|j| vectors::<S>(&loads[(2 + j) * row..(2 + j) * row + lanes]));
-                add_products(simd, target, &inverse, &loads);
+        let (row, lanes, p) = (self.layout.row, self.layout.lanes(), parts::<S>());
+        let (inside, chunks, count) = (self.layout.nodes_per_bay - 1, lanes / CHUNK, lanes / CHUNK * p);
+        let (seats, x) = x.split_at_mut(2 * row);
+        let seats = [0, row, 1, row + 1].map(|at| &vectors::<S>(&seats[at..])[..count]);
+        for (node, x) in x.chunks_exact_mut(2 * row).enumerate() {
+            let (deflection, rotation) = x.split_at_mut(row);
+            let [deflection, rotation] =
+                [deflection, rotation].map(|row| &mut vectors_mut::<S>(row)[..count]);
+            for (chunk, gains) in self.gain[node * chunks..(node + 1) * chunks].iter().enumerate() {
+                for part in 0..p {
+                    let at = chunk * p + part;
+                    let mut sums = [simd.splat_f64s(0.0); 2];
+                    for (sum, gains) in sums.iter_mut().zip(gains.as_chunks::<4>().0) {
+                        for (gain, seats) in gains.iter().zip(&seats) {
+                            *sum = simd.mul_add_f64s(vectors::<S>(gain)[part], seats[at], *sum);
+                        }
+                    }
+                    [deflection[at], rotation[at]] = sums;
+                }
+            }
+            for loaded in 0..inside {
+                let loads = [0, 1].map(|of| &vectors::<S>(&loads[(2 * loaded + 2 + of) * row..])[..count]);
+                let first = (node * inside + loaded) * chunks;
+                for (chunk, inverse) in self.inverse[first..first + chunks].iter().enumerate() {
+                    for part in 0..p {
+                        let at = chunk * p + part;
+                        let mut sums = [deflection[at], rotation[at]];
+                        for (sum, inverse) in sums.iter_mut().zip(inverse.as_chunks::<2>().0) {
+                            for (factor, loads) in inverse.iter().zip(&loads) {
+                                *sum = simd.mul_add_f64s(vectors::<S>(factor)[part], loads[at], *sum);
+                            }
+                        }
+                        [deflection[at], rotation[at]] = sums;
+                    }
+                }
             }
         }
-    }
-
-    /// Motion of value `i` inside the bays per motion of degree of freedom `a` of their ends.
-    #[inline(always)]
-    fn gain<S: Simd>(&self, i: usize, a: usize) -> &[S::f64s] {
-        let at = (i * 4 + a) * self.layout.row;
-        vectors::<S>(&self.interior_gain[at..at + self.layout.lanes()])
-    }
-}
-
-/// Adds the products of rows to a row.
-#[inline(always)]
-fn add_products<S: Simd, const N: usize>(
-    simd: S,
-    target: &mut [S::f64s],
-    factors: &[&[S::f64s]; N],
-    values: &[&[S::f64s]; N],
-) {
-    let count = target.len();
-    let (factors, values) = (factors.map(|row| &row[..count]), values.map(|row| &row[..count]));
-    for l in 0..count {
-        let mut sum = target[l];
-        for n in 0..N {
-            sum = simd.mul_add_f64s(factors[n][l], values[n][l], sum);
-        }
-        target[l] = sum;
-    }
-}
-
-/// Sum of the products of rows.
-#[inline(always)]
-fn set_products<S: Simd, const N: usize>(
-    simd: S,
-    target: &mut [S::f64s],
-    factors: &[&[S::f64s]; N],
-    values: &[&[S::f64s]; N],
-) {
-    let count = target.len();
-    let (factors, values) = (factors.map(|row| &row[..count]), values.map(|row| &row[..count]));
-    for l in 0..count {
-        let mut sum = simd.mul_f64s(factors[0][l], values[0][l]);
-        for n in 1..N {
-            sum = simd.mul_add_f64s(factors[n][l], values[n][l], sum);
-        }
-        target[l] = sum;
     }
 }
 

@@ -14,6 +14,8 @@ use crate::track::{Kelvin, Side, Track};
 
 /// Values handled together in the inner loops.
 pub(super) const CHUNK: usize = 8;
+/// Coordinates of a sleeper handled together: the modes of [`SLEEPER_MODES`] and the two static shapes.
+pub(super) const BLOCK: usize = SLEEPER_MODES + 2;
 /// The same value of neighbouring sleepers.
 pub(super) type Lanes = [f64; CHUNK];
 

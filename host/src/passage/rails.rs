@@ -72,8 +72,11 @@ impl Rails {
             let [ks, kb] =
                 [&self.shear, &self.bending].map(|k| &vectors::<S>(&k[e * row..e * row + n])[..count]);
             for l in 0..count {
-                let at = |a: usize| simd.mul_add_f64s(of_v, vs[a][l], simd.mul_f64s(of_u, us[a][l]));
-                let [w1, t1, w2, t2] = [at(0), at(1), at(2), at(3)];
+                let mut ends = [simd.splat_f64s(0.0); 4];
+                for (a, end) in ends.iter_mut().enumerate() {
+                    *end = simd.mul_add_f64s(of_v, vs[a][l], simd.mul_f64s(of_u, us[a][l]));
+                }
+                let [w1, t1, w2, t2] = ends;
                 let bent = simd.mul_add_f64s(h, simd.add_f64s(t1, t2), simd.sub_f64s(w2, w1));
                 shear[l] = simd.mul_f64s(ks[l], bent);
                 moment[l] = simd.mul_f64s(kb[l], simd.sub_f64s(t2, t1));

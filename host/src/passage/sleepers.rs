@@ -13,24 +13,28 @@ use pulp::Simd;
 use super::basis::SleeperBasis;
 use super::effective::Shares;
 use super::error::SimulationError;
-use super::model::{CHUNK, Lanes, TrackModel};
+use super::model::{BLOCK, CHUNK, Lanes, TrackModel};
 use super::vectors::{Aligned, of_chunks, of_chunks_mut, parts, vectors, vectors_mut};
+
+/// The same of neighbouring coordinates.
+pub(super) type Block = [f64; BLOCK];
 
 /// All sleepers; values per sleeper and coordinate are at `[sleeper / 8 · coordinates + coordinate][sleeper % 8]`.
 #[derive(Clone, Debug)]
 pub(super) struct Sleepers {
-    /// Number of coordinates.
+    /// Number of coordinates, filled up to whole blocks by some that never move.
     pub coordinates: usize,
     /// Deflection at the sensor per coordinate.
     pub sensor: Vec<f64>,
     /// Deflection of each support point per coordinate.
-    pub points: Vec<Vec<f64>>,
-    seat: Vec<[f64; 2]>,
-    /// Elastic stiffness, `[i · n + j]`.
-    elastic: Vec<f64>,
+    pub points: Vec<Vec<Block>>,
+    /// Deflection at crossing and stock seat per coordinate.
+    seat: Vec<[Block; 2]>,
+    /// Elastic stiffness, `[block of columns · coordinates + row]`.
+    elastic: Vec<Block>,
     elastic_damping_s: f64,
     /// β.
-    bed: Vec<f64>,
+    bed: Vec<Block>,
     pad: Pad,
     /// Effective ballast g, stiffness k, damping c per chunk.
     ballast: Aligned<Ballast>,
@@ -83,19 +87,22 @@ impl Sleepers {
         let shift = if shares.mass > 0.0 { 0.0 } else { mean };
         let (transform, beta) = diagonalise(basis, shares, shift)?;
         let shaped = |row: &[f64]| transform.tr_mul(&DVector::from_column_slice(row));
-        let (n, chunks) = (basis.len(), layout.stride / CHUNK);
-        let seats = [0, 1].map(|side: usize| shaped(&basis.seat[side]));
+        let (n, chunks) = (basis.len().next_multiple_of(BLOCK), layout.stride / CHUNK);
+        let seats = basis.seat.each_ref().map(|seat| blocks(shaped(seat).as_slice()));
         let elastic = DMatrix::from_diagonal(&DVector::from_column_slice(&basis.elastic));
-        let elastic = transform.tr_mul(&elastic) * &transform;
+        let elastic = (transform.tr_mul(&elastic) * &transform).resize(n, n, 0.0);
         let mut sleepers = Self {
             coordinates: n,
-            sensor: shaped(&basis.sensor).as_slice().to_vec(),
+            sensor: blocks(shaped(&basis.sensor).as_slice()).into_flattened(),
             points: (&basis.points * &transform)
                 .row_iter()
-                .map(|row| row.iter().copied().collect())
+                .map(|row| blocks(&row.iter().copied().collect::<Vec<f64>>()))
                 .collect(),
-            seat: (0..n).map(|i| [seats[0][i], seats[1][i]]).collect(),
-            elastic: elastic.transpose().as_slice().to_vec(),
+            seat: seats[0].iter().zip(&seats[1]).map(|(crossing, stock)| [*crossing, *stock]).collect(),
+            elastic: (0..n / BLOCK)
+                .flat_map(|block| (0..n).map(move |row| [block, row]))
+                .map(|[block, row]| std::array::from_fn(|j| elastic[(row, block * BLOCK + j)]))
+                .collect(),
             elastic_damping_s: basis.damping_s,
             pad: Pad {
                 effective: shares.damping * model.pad.damping + shares.stiffness * model.pad.stiffness,
@@ -105,7 +112,7 @@ impl Sleepers {
             ballast: avec![Ballast { stiffness: [0.0; CHUNK], damping: [0.0; CHUNK] }; chunks],
             inverse: avec![[0.0; CHUNK]; n * chunks],
             through: avec![[[0.0; CHUNK]; 3]; chunks],
-            bed: beta.as_slice().to_vec(),
+            bed: blocks(beta.as_slice()),
             transform,
         };
         for s in 0..layout.sleepers {
@@ -121,15 +128,17 @@ impl Sleepers {
         let singular =
             || SimulationError::Singular { what: "effective", place: format!("sleeper {sleeper}") };
         let mut seats = Matrix2::identity();
-        for i in 0..n {
-            let diagonal = 1.0 + g * self.bed[i];
+        for i in 0..self.transform.ncols() {
+            let (block, of) = (i / BLOCK, i % BLOCK);
+            let diagonal = 1.0 + g * self.bed[block][of];
             if diagonal.is_nan() || diagonal <= 0.0 {
                 return Err(singular());
             }
             self.inverse[chunk * n + i][lane] = 1.0 / diagonal;
             for a in 0..2 {
                 for b in 0..2 {
-                    seats[(a, b)] += self.pad.effective * self.seat[i][a] * self.seat[i][b] / diagonal;
+                    seats[(a, b)] +=
+                        self.pad.effective * self.seat[block][a][of] * self.seat[block][b][of] / diagonal;
                 }
             }
         }
@@ -174,13 +183,15 @@ impl Sleepers {
         for chunk in 0..self.through.len() {
             for part in 0..p {
                 let (mut t0, mut t1) = (simd.splat_f64s(0.0), simd.splat_f64s(0.0));
-                let of = chunk * n * p..(chunk + 1) * n * p;
-                let (b, f, inverse) = (&b[of.clone()], &f[of.clone()], &inverse[of]);
-                for (i, seat) in self.seat.iter().enumerate() {
-                    let at = i * p + part;
-                    let motion = simd.mul_f64s(inverse[at], simd.add_f64s(b[at], f[at]));
-                    t0 = simd.mul_add_f64s(simd.splat_f64s(seat[0]), motion, t0);
-                    t1 = simd.mul_add_f64s(simd.splat_f64s(seat[1]), motion, t1);
+                for (block, seat) in self.seat.iter().enumerate() {
+                    let of = block_range::<S>(chunk * n + block * BLOCK);
+                    let (b, f, inverse) = (&b[of.clone()], &f[of.clone()], &inverse[of]);
+                    for i in 0..BLOCK {
+                        let at = i * p + part;
+                        let motion = simd.mul_f64s(inverse[at], simd.add_f64s(b[at], f[at]));
+                        t0 = simd.mul_add_f64s(simd.splat_f64s(seat[0][i]), motion, t0);
+                        t1 = simd.mul_add_f64s(simd.splat_f64s(seat[1][i]), motion, t1);
+                    }
                 }
                 let (at, of) = (chunk * p + part, chunk * 3 * p + part);
                 (pads[chunk * 2 * p + part], pads[(chunk * 2 + 1) * p + part]) = (t0, t1);
@@ -225,15 +236,17 @@ impl Sleepers {
                 let effective = simd.splat_f64s(self.pad.effective);
                 let p0 = simd.mul_f64s(effective, pad[chunk * 2 * p + part]);
                 let p1 = simd.mul_f64s(effective, pad[(chunk * 2 + 1) * p + part]);
-                let of = chunk * n * p..(chunk + 1) * n * p;
-                let (b, f, inverse) = (&b[of.clone()], &f[of.clone()], &inverse[of.clone()]);
-                let v = &mut v[of];
-                for (i, seat) in self.seat.iter().enumerate() {
-                    let at = i * p + part;
-                    let mut sum = simd.add_f64s(b[at], f[at]);
-                    sum = simd.mul_add_f64s(simd.splat_f64s(seat[0]), p0, sum);
-                    sum = simd.mul_add_f64s(simd.splat_f64s(seat[1]), p1, sum);
-                    v[at] = simd.mul_f64s(inverse[at], sum);
+                for (block, seat) in self.seat.iter().enumerate() {
+                    let of = block_range::<S>(chunk * n + block * BLOCK);
+                    let (b, f, inverse) = (&b[of.clone()], &f[of.clone()], &inverse[of.clone()]);
+                    let v = &mut v[of];
+                    for i in 0..BLOCK {
+                        let at = i * p + part;
+                        let mut sum = simd.add_f64s(b[at], f[at]);
+                        sum = simd.mul_add_f64s(simd.splat_f64s(seat[0][i]), p0, sum);
+                        sum = simd.mul_add_f64s(simd.splat_f64s(seat[1][i]), p1, sum);
+                        v[at] = simd.mul_f64s(inverse[at], sum);
+                    }
                 }
             }
         }
@@ -256,46 +269,80 @@ impl Sleepers {
         let SleeperState { u, v, b, correction, pads, deformation, .. } = state;
         let (v, f) = (of_chunks::<S>(v), of_chunks::<S>(correction));
         let [u, b, pads, deformation] = [u, b, pads, deformation].map(|row| of_chunks_mut::<S>(row));
-        let splat = |value: f64| simd.splat_f64s(value);
-        let (dt, per_theta) = (splat(dt_s), splat(1.0 / theta));
-        let elastic_rate = splat(self.elastic_damping_s / theta + 2.0 * dt_s);
-        let pad_stiffness = splat(self.pad.stiffness / theta);
-        let pad_rate = splat(2.0 * dt_s * self.pad.stiffness + self.pad.damping / theta);
+        let (dt, per_theta) = (simd.splat_f64s(dt_s), simd.splat_f64s(1.0 / theta));
+        let elastic_rate = simd.splat_f64s(self.elastic_damping_s / theta + 2.0 * dt_s);
+        let pad_stiffness = simd.splat_f64s(self.pad.stiffness / theta);
+        let pad_rate = simd.splat_f64s(2.0 * dt_s * self.pad.stiffness + self.pad.damping / theta);
         for (chunk, ballast) in self.ballast.iter().enumerate() {
             let (k, c) = (vectors::<S>(&ballast.stiffness), vectors::<S>(&ballast.damping));
-            let of = chunk * n * p..(chunk + 1) * n * p;
-            let (v, f, u, b) = (&v[of.clone()], &f[of.clone()], &mut u[of.clone()], &mut b[of]);
             let pads = &mut pads[chunk * 2 * p..(chunk + 1) * 2 * p];
             for part in 0..p {
                 let (mut seat0, mut seat1) = (crossing[chunk * p + part], stock[chunk * p + part]);
-                for (i, seat) in self.seat.iter().enumerate() {
-                    let at = i * p + part;
-                    seat0 = simd.mul_add_f64s(splat(-seat[0]), u[at], seat0);
-                    seat1 = simd.mul_add_f64s(splat(-seat[1]), u[at], seat1);
-                    deformation[at] = simd.mul_add_f64s(elastic_rate, v[at], simd.mul_f64s(per_theta, u[at]));
+                for (block, seat) in self.seat.iter().enumerate() {
+                    let of = block_range::<S>(chunk * n + block * BLOCK);
+                    let (v, u) = (&v[of.clone()], &u[of]);
+                    let deformation = &mut deformation[block_range::<S>(block * BLOCK)];
+                    for i in 0..BLOCK {
+                        let at = i * p + part;
+                        seat0 = simd.mul_add_f64s(simd.splat_f64s(-seat[0][i]), u[at], seat0);
+                        seat1 = simd.mul_add_f64s(simd.splat_f64s(-seat[1][i]), u[at], seat1);
+                        deformation[at] =
+                            simd.mul_add_f64s(elastic_rate, v[at], simd.mul_f64s(per_theta, u[at]));
+                    }
                 }
                 let pad0 = simd.mul_add_f64s(pad_stiffness, seat0, simd.mul_f64s(pad_rate, pads[part]));
                 let pad1 = simd.mul_add_f64s(pad_stiffness, seat1, simd.mul_f64s(pad_rate, pads[p + part]));
                 (pads[part], pads[p + part]) = (pad0, pad1);
                 let bed_stiffness = simd.mul_f64s(per_theta, k[part]);
-                let bed_rate =
-                    simd.mul_add_f64s(splat(2.0 * dt_s), k[part], simd.mul_f64s(per_theta, c[part]));
-                for i in 0..n {
-                    let at = i * p + part;
-                    let mut elastic = simd.mul_f64s(splat(self.elastic[i * n]), deformation[part]);
-                    for (j, e) in self.elastic[i * n..(i + 1) * n].iter().enumerate().skip(1) {
-                        elastic = simd.mul_add_f64s(splat(*e), deformation[j * p + part], elastic);
+                let bed_rate = simd.mul_add_f64s(
+                    simd.splat_f64s(2.0 * dt_s),
+                    k[part],
+                    simd.mul_f64s(per_theta, c[part]),
+                );
+                for (block, (seat, beta)) in self.seat.iter().zip(&self.bed).enumerate() {
+                    let elastic = self.elastic_forces(simd, part, deformation, block);
+                    let of = block_range::<S>(chunk * n + block * BLOCK);
+                    let (v, f) = (&v[of.clone()], &f[of.clone()]);
+                    let (u, b) = (&mut u[of.clone()], &mut b[of]);
+                    for i in 0..BLOCK {
+                        let at = i * p + part;
+                        let bed = simd.mul_add_f64s(bed_stiffness, u[at], simd.mul_f64s(bed_rate, v[at]));
+                        let inner = simd.mul_add_f64s(simd.splat_f64s(beta[i]), bed, elastic[i]);
+                        let outer = simd.mul_add_f64s(
+                            simd.splat_f64s(seat[0][i]),
+                            pad0,
+                            simd.mul_f64s(simd.splat_f64s(seat[1][i]), pad1),
+                        );
+                        let outer = simd.mul_add_f64s(per_theta, f[at], outer);
+                        b[at] = simd.add_f64s(b[at], simd.sub_f64s(outer, inner));
+                        u[at] = simd.mul_add_f64s(dt, v[at], u[at]);
                     }
-                    let bed = simd.mul_add_f64s(bed_stiffness, u[at], simd.mul_f64s(bed_rate, v[at]));
-                    let inner = simd.mul_add_f64s(splat(self.bed[i]), bed, elastic);
-                    let [first, second] = self.seat[i].map(splat);
-                    let outer = simd.mul_add_f64s(first, pad0, simd.mul_f64s(second, pad1));
-                    let outer = simd.mul_add_f64s(per_theta, f[at], outer);
-                    b[at] = simd.add_f64s(b[at], simd.sub_f64s(outer, inner));
-                    u[at] = simd.mul_add_f64s(dt, v[at], u[at]);
                 }
             }
         }
+    }
+
+    /// Elastic forces of one block of coordinates; `deformation` of one chunk of sleepers.
+    #[inline(always)]
+    fn elastic_forces<S: Simd>(
+        &self,
+        simd: S,
+        part: usize,
+        deformation: &[S::f64s],
+        block: usize,
+    ) -> [S::f64s; BLOCK] {
+        let p = parts::<S>();
+        let mut forces = [simd.splat_f64s(0.0); BLOCK];
+        for (columns, rows) in self.elastic.chunks_exact(self.coordinates).enumerate() {
+            let (rows, deformation) =
+                (&rows[block * BLOCK..(block + 1) * BLOCK], &deformation[block_range::<S>(columns * BLOCK)]);
+            for (force, row) in forces.iter_mut().zip(rows) {
+                for (j, e) in row.iter().enumerate() {
+                    *force = simd.mul_add_f64s(simd.splat_f64s(*e), deformation[j * p + part], *force);
+                }
+            }
+        }
+        forces
     }
 
     /// Pad forces on one row of rail seats.
@@ -314,12 +361,14 @@ impl Sleepers {
     /// The same motion in the coordinates of `other`, of the same model.
     pub fn convert(&self, values: &[Lanes], other: &Self) -> Result<Aligned<Lanes>, SimulationError> {
         let singular = || SimulationError::Singular { what: "mass", place: "the sleeper".into() };
-        let n = self.coordinates;
+        let n = self.transform.ncols();
         let change = other.transform.clone().lu().solve(&self.transform).ok_or_else(singular)?;
         let mut converted = avec![[0.0; CHUNK]; values.len()];
-        for (target, source) in converted.chunks_exact_mut(n).zip(values.chunks_exact(n)) {
+        for (target, source) in
+            converted.chunks_exact_mut(self.coordinates).zip(values.chunks_exact(self.coordinates))
+        {
             for i in 0..n {
-                for (j, value) in source.iter().enumerate() {
+                for (j, value) in source.iter().enumerate().take(n) {
                     for l in 0..CHUNK {
                         target[i][l] += change[(i, j)] * value[l];
                     }
@@ -328,6 +377,19 @@ impl Sleepers {
         }
         Ok(converted)
     }
+}
+
+/// Values per coordinate in blocks, filled up with zeros.
+fn blocks(values: &[f64]) -> Vec<Block> {
+    let block = |of: &[f64]| std::array::from_fn(|i| of.get(i).copied().unwrap_or(0.0));
+    values.chunks(BLOCK).map(block).collect()
+}
+
+/// Vectors of the block of coordinates that begins with `first`, of all coordinates of all chunks.
+#[inline(always)]
+pub(super) fn block_range<S: Simd>(first: usize) -> std::ops::Range<usize> {
+    let start = first * parts::<S>();
+    start..start + BLOCK * parts::<S>()
 }
 
 /// T with Tᵀ P T = I and Tᵀ B T = diag β, P the effective matrix of a sleeper without pads on a bed of effective stiffness

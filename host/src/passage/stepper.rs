@@ -358,6 +358,25 @@ mod tests {
     }
 
     #[test]
+    fn property_width_of_the_vectors_changes_no_bit() {
+        let track = site_track(true);
+        let wide = stepper(&track, 125e3, crate::passage::SLEEPER_MODES, 1e-4);
+        let narrow = Stepper { arch: pulp::Arch::Scalar, ..wide.clone() };
+        let point = wide.model.point(Side::Stock, track.node_x_m[track.seat_node(11)] + 0.17).unwrap();
+        let [wide, narrow] = [&wide, &narrow].map(|stepper| {
+            let mut state = stepper.at_rest();
+            for n in 0..200 {
+                stepper.begin(&mut state);
+                stepper.load(&mut state, &point, f64::from(n % 7));
+                stepper.finish(&mut state);
+            }
+            (stepper.sensor_m(&state), stepper.rail_m(&state, &point))
+        });
+        assert_eq!(wide, narrow);
+        assert!(wide.0.abs() > 0.0, "the sensor moves");
+    }
+
+    #[test]
     fn property_static_state_is_the_limit_of_the_frequency_domain_model() {
         let track = site_track(true);
         let stepper = stepper(&track, 125e3, 3, 1e-4);

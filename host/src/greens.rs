@@ -236,10 +236,7 @@ impl pulp::WithSimd for AddWeighted<'_> {
     fn with_simd<S: pulp::Simd>(self, simd: S) {
         let ([a, b, c, d], w) = (self.series.map(S::as_simd_f64s), self.weights);
         let (out, out_rest) = S::as_mut_simd_f64s(self.out);
-        let mut ws = [simd.splat_f64s(0.0); 4];
-        for (w, value) in ws.iter_mut().zip(w) {
-            *w = simd.splat_f64s(value);
-        }
+        let ws = w.map(|w| simd.splat_f64s(w));
         for ((((o, a), b), c), d) in out.iter_mut().zip(a.0).zip(b.0).zip(c.0).zip(d.0) {
             let pair = simd.mul_add_f64s(ws[0], *a, simd.mul_f64s(ws[1], *b));
             let other = simd.mul_add_f64s(ws[2], *c, simd.mul_f64s(ws[3], *d));

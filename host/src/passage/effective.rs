@@ -28,7 +28,7 @@ pub(super) struct Effective {
     eliminate: Aligned<[Lanes; 8]>,
     /// Motion inside the bay per motion of its two seats, `[node in bay · chunks + chunk][i · 4 + a]`.
     gain: Aligned<[Lanes; 8]>,
-    /// Motion inside the bay per load there, `[(node · nodes + loaded node) · chunks + chunk][i · 2 + j]`.
+    /// Motion inside the bay per load there, `[(node · nodes inside + loaded node) · chunks + chunk][i · 2 + j]`.
     inverse: Aligned<[Lanes; 4]>,
     chain: SeatChain,
 }
@@ -153,9 +153,7 @@ impl Effective {
                     let at = chunk * p + part;
                     let mut sums = [deflection[at], rotation[at]];
                     for (sum, factors) in sums.iter_mut().zip(factors.as_chunks::<4>().0) {
-                        for (factor, loads) in factors.iter().zip(&loads) {
-                            *sum = simd.mul_add_f64s(vectors::<S>(factor)[part], loads[at], *sum);
-                        }
+                        *sum = add_products(simd, *sum, (factors, part), (&loads, at));
                     }
                     [deflection[at], rotation[at]] = sums;
                 }
@@ -179,9 +177,7 @@ impl Effective {
                     let at = chunk * p + part;
                     let mut sums = [simd.splat_f64s(0.0); 2];
                     for (sum, gains) in sums.iter_mut().zip(gains.as_chunks::<4>().0) {
-                        for (gain, seats) in gains.iter().zip(&seats) {
-                            *sum = simd.mul_add_f64s(vectors::<S>(gain)[part], seats[at], *sum);
-                        }
+                        *sum = add_products(simd, *sum, (gains, part), (&seats, at));
                     }
                     [deflection[at], rotation[at]] = sums;
                 }
@@ -194,9 +190,7 @@ impl Effective {
                         let at = chunk * p + part;
                         let mut sums = [deflection[at], rotation[at]];
                         for (sum, inverse) in sums.iter_mut().zip(inverse.as_chunks::<2>().0) {
-                            for (factor, loads) in inverse.iter().zip(&loads) {
-                                *sum = simd.mul_add_f64s(vectors::<S>(factor)[part], loads[at], *sum);
-                            }
+                            *sum = add_products(simd, *sum, (inverse, part), (&loads, at));
                         }
                         [deflection[at], rotation[at]] = sums;
                     }
@@ -204,6 +198,20 @@ impl Effective {
             }
         }
     }
+}
+
+/// `sum` and the products of factors with what rows hold at one place.
+#[inline(always)]
+fn add_products<S: Simd, const N: usize>(
+    simd: S,
+    mut sum: S::f64s,
+    (factors, part): (&[Lanes; N], usize),
+    (rows, at): (&[&[S::f64s]; N], usize),
+) -> S::f64s {
+    for (factor, row) in factors.iter().zip(rows) {
+        sum = simd.mul_add_f64s(vectors::<S>(factor)[part], row[at], sum);
+    }
+    sum
 }
 
 /// Seats of both rails on a sleeper.

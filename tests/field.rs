@@ -3,10 +3,7 @@
 
 use std::path::PathBuf;
 
-use arrow_array::cast::AsArray;
-use arrow_array::types::{Float32Type, Float64Type, Int32Type};
-use arrow_array::{Array, RecordBatch};
-use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
+use cpcm_tests::rows::{self, Row};
 
 /// One recording.
 pub struct Recording {
@@ -31,48 +28,27 @@ pub fn train(cars: u32, car_m: f32, bogies_m: f32, axles_m: f32) -> Vec<f32> {
 
 /// All recordings of a site.
 pub fn recordings(site: &str) -> Vec<Recording> {
-    let mut speeds = true_speeds(site);
-    let mut out = Vec::new();
-    for batch in batches(site, "passages.parquet") {
-        let operator = column(&batch, "speed_m_s").as_primitive::<Float64Type>();
-        let acceleration = column(&batch, "acceleration_m_s2").as_list::<i32>();
-        for row in 0..batch.num_rows() {
-            let truth = if speeds.is_empty() { None } else { Some(speeds.remove(0)) };
-            out.push(Recording {
-                acceleration_m_s2: acceleration.value(row).as_primitive::<Float32Type>().values().to_vec(),
-                speed_m_s: truth.or(operator.is_valid(row).then(|| operator.value(row))),
-                speed_is_true: truth.is_some(),
-            });
+    let mut speeds = true_speeds(site).into_iter();
+    let recording = |row: Row| {
+        let truth = speeds.next();
+        Recording {
+            acceleration_m_s2: row.numbers("acceleration_m_s2").iter().map(|&a| a as f32).collect(),
+            speed_m_s: truth.or_else(|| row.optional("speed_m_s")),
+            speed_is_true: truth.is_some(),
         }
-    }
-    out
+    };
+    rows::read(&path(site, "passages.parquet")).into_iter().map(recording).collect()
 }
 
 fn true_speeds(site: &str) -> Vec<f64> {
-    let mut speeds = Vec::new();
-    if !path(site, "truth.parquet").exists() {
-        return speeds;
+    let file = path(site, "truth.parquet");
+    if !file.exists() {
+        return Vec::new();
     }
-    for batch in batches(site, "truth.parquet") {
-        let wheelset = column(&batch, "wheelset").as_primitive::<Int32Type>();
-        let speed = column(&batch, "true_speed_m_s").as_primitive::<Float64Type>();
-        let side = column(&batch, "side").as_string::<i32>();
-        let first = |&row: &usize| wheelset.value(row) == 0 && side.value(row) == "crossing";
-        speeds.extend((0..batch.num_rows()).filter(first).map(|row| speed.value(row)));
-    }
-    speeds
+    let first = |row: &Row| row.number("wheelset") == 0.0 && row.text("side") == "crossing";
+    rows::read(&file).iter().filter(|row| first(row)).map(|row| row.number("true_speed_m_s")).collect()
 }
 
 fn path(site: &str, file: &str) -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("data/field").join(site).join(file)
-}
-
-fn batches(site: &str, file: &str) -> Vec<RecordBatch> {
-    let file = std::fs::File::open(path(site, file)).expect("field recording is part of the repository");
-    let reader = ParquetRecordBatchReaderBuilder::try_new(file).and_then(|b| b.build()).expect("Parquet");
-    reader.map(|batch| batch.expect("whole file")).collect()
-}
-
-fn column<'a>(batch: &'a RecordBatch, name: &str) -> &'a dyn Array {
-    batch.column_by_name(name).expect("column of FIELD.md")
 }

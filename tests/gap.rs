@@ -3,8 +3,6 @@
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use arrow_array::cast::AsArray;
-use arrow_array::types::Float64Type;
 use cpcm::ballast::BallastParameters;
 use cpcm::gap::base::{base, nominal_world};
 use cpcm::gap::diagnosis::{DiagnoseOptions, PATH_PRIOR, diagnose};
@@ -21,25 +19,18 @@ use cpcm::gap::world::SensorModel;
 use cpcm::progress::Silent;
 use cpcm::recording::{Format, Site, read_site, write_site};
 use cpcm_tests::diagnosed::{field, full, quick, recorded, says, small, trial};
+use cpcm_tests::rows;
 use cpcm_tests::tolerance;
-use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
 
 /// Root of the mean of the two squared RMS ratios of a column against the measured one, straight from the file.
 fn gap_from_file(file: &Path, model: &str) -> f64 {
-    let reader =
-        ParquetRecordBatchReaderBuilder::try_new(std::fs::File::open(file).unwrap()).unwrap().build();
     let (mut left, mut all) = ([0.0; 2], [0.0; 2]);
-    for batch in reader.unwrap().map(Result::unwrap) {
+    for row in rows::read(file) {
         for (q, unit) in ["m_s2", "m"].iter().enumerate() {
-            let column =
-                |name: &str| batch.column_by_name(&format!("{name}_{unit}")).unwrap().as_list::<i32>();
-            for row in 0..batch.num_rows() {
-                let list =
-                    |name: &str| column(name).value(row).as_primitive::<Float64Type>().values().to_vec();
-                for (m, p) in list("measured").iter().zip(list(model)) {
-                    left[q] += (m - p).powi(2);
-                    all[q] += m * m;
-                }
+            let list = |name: &str| row.numbers(&format!("{name}_{unit}"));
+            for (m, p) in list("measured").iter().zip(list(model)) {
+                left[q] += (m - p).powi(2);
+                all[q] += m * m;
             }
         }
     }

@@ -2,13 +2,10 @@
 
 use std::path::Path;
 
-use arrow_array::RecordBatch;
-use arrow_array::cast::AsArray;
-use arrow_array::types::{Float64Type, Int32Type};
 use cpcm::analysis::Analysis;
 use cpcm::results::{ResultsError, read_forces, write_results};
+use cpcm_tests::rows;
 use cpcm_tests::sample::sample_analysis;
-use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
 use tempfile::TempDir;
 
 fn written() -> (TempDir, Analysis) {
@@ -18,44 +15,31 @@ fn written() -> (TempDir, Analysis) {
     (dir, analysis)
 }
 
-fn batches(file: &Path) -> Vec<RecordBatch> {
-    let file = std::fs::File::open(file).unwrap();
-    ParquetRecordBatchReaderBuilder::try_new(file).unwrap().build().unwrap().map(Result::unwrap).collect()
-}
-
 #[test]
 fn reference_schema_of_forces() {
     let (dir, analysis) = written();
-    let batches = batches(&dir.path().join("new/results/forces.parquet"));
-    let schema = batches[0].schema();
-    let columns: Vec<(String, String)> =
-        schema.fields().iter().map(|f| (f.name().clone(), f.data_type().to_string())).collect();
-    let list = |item: &str| match schema.field_with_name("position_m").unwrap().data_type() {
-        arrow_schema::DataType::List(_) => item.to_string(),
-        other => panic!("{other}"),
-    };
-    let expected = [
-        ("passage_id", "Int32"),
-        ("wheelset", "Int32"),
-        ("speed_m_s", "Float64"),
-        ("position_m", "List(Float64)"),
-        ("contact_force_n", "List(Float64)"),
-        ("lower_n", "List(Float64)"),
-        ("upper_n", "List(Float64)"),
-        ("peak_force_n", "Float64"),
-        ("peak_position_m", "Float64"),
-        ("peak_lower_n", "Float64"),
-        ("peak_upper_n", "Float64"),
-        ("irregularity_m", "List(Float64)"),
-        ("irregularity_rms_m", "Float64"),
-        ("flags", "List(Utf8)"),
+    let file = dir.path().join("new/results/forces.parquet");
+    let list = |item: &str| format!("(LIST) {{ REPEATED group list {{ OPTIONAL {item}; }} }}");
+    let numbers = |name: &str| format!("OPTIONAL group {name} {}", list("DOUBLE element"));
+    let number = |name: &str| format!("OPTIONAL DOUBLE {name};");
+    let fields = [
+        "OPTIONAL INT32 passage_id;".to_string(),
+        "OPTIONAL INT32 wheelset;".to_string(),
+        number("speed_m_s"),
+        numbers("position_m"),
+        numbers("contact_force_n"),
+        numbers("lower_n"),
+        numbers("upper_n"),
+        number("peak_force_n"),
+        number("peak_position_m"),
+        number("peak_lower_n"),
+        number("peak_upper_n"),
+        numbers("irregularity_m"),
+        number("irregularity_rms_m"),
+        format!("OPTIONAL group flags {}", list("BYTE_ARRAY element (STRING)")),
     ];
-    for (column, (name, kind)) in columns.iter().zip(expected) {
-        assert_eq!(column.0, name);
-        assert_eq!(column.1, list(kind), "{name}");
-    }
-    assert_eq!(columns.len(), expected.len());
-    let rows: usize = batches.iter().map(RecordBatch::num_rows).sum();
+    assert_eq!(rows::schema(&file), format!("message schema {{ {} }}", fields.join(" ")));
+    let rows = rows::read(&file).len();
     assert_eq!(rows, analysis.passages.iter().map(|p| p.wheelsets.len()).sum::<usize>());
 }
 
@@ -76,10 +60,10 @@ fn regress_values_of_forces_are_the_same_bits() {
     assert_eq!((&row.irregularity_m, row.irregularity_rms_m), (&w.irregularity_m, w.irregularity_rms_m));
     assert_eq!(row.flags, w.flags);
     // The same through the columns, as another program reads them.
-    let first = &batches(&file)[0];
-    assert_eq!(first["passage_id"].as_primitive::<Int32Type>().value(0), analysis.passages[0].passage_id);
+    let first = &rows::read(&file)[0];
+    assert_eq!(first.number("passage_id"), f64::from(analysis.passages[0].passage_id));
     let peak = analysis.passages[0].wheelsets[0].peak_force_n.value;
-    assert_eq!(first["peak_force_n"].as_primitive::<Float64Type>().value(0), peak);
+    assert_eq!(first.number("peak_force_n"), peak);
 }
 
 #[test]

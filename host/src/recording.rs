@@ -8,10 +8,10 @@ mod error;
 pub(crate) mod files;
 mod guard;
 mod mseed;
-pub(crate) mod parquet;
+mod parquet;
 mod samples;
 mod scan;
-pub(crate) mod table;
+pub mod table;
 pub mod truth;
 
 use std::path::Path;

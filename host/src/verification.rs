@@ -5,7 +5,7 @@ mod convergence;
 mod identities;
 mod moving;
 mod p2;
-mod passages;
+pub(crate) mod passages;
 mod receptance;
 pub mod reference;
 mod site;

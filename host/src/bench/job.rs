@@ -1,9 +1,9 @@
 //! What this program does in a comparison, each job as its user would have it done.
 
+use std::fs::File;
 use std::path::Path;
 
 use faer::Mat;
-use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
 use serde_json::{Value, json};
 
 use crate::ballast::BallastParameters;
@@ -18,11 +18,11 @@ use crate::passage::{
     run,
 };
 use crate::reconstruct::Recording;
-use crate::recording::table::Cells;
 use crate::recording::{Passage, Sensor, read_site};
 use crate::signal::{brick_band, quantile, resample, rms};
 use crate::track::{Mesh, Side, Track};
 use crate::vehicle::AxlePattern;
+use crate::verification::passages::{Passages, read_published};
 use crate::verification::reference::{BOGIE_M, MID, SOFT, SPEED_M_S, WHEEL_N, panel};
 
 /// Jobs of the comparison.
@@ -63,33 +63,9 @@ const LOW_PASS_HZ: f64 = 250.0;
 /// Passages that calibrate.
 const CALIBRATING: usize = 10;
 
-/// Displacement (m) and force (N) of published passages.
-struct Published {
-    displacement_m: Vec<Vec<f64>>,
-    force_n: Vec<Vec<f64>>,
-}
-
-fn read(input: &Path) -> Result<Published, JobError> {
-    let file = std::fs::File::open(input)?;
-    let mut out = Published { displacement_m: Vec::new(), force_n: Vec::new() };
-    for batch in ParquetRecordBatchReaderBuilder::try_new(file)?.build()? {
-        let batch = batch?;
-        let cells = Cells(&batch);
-        for row in 0..batch.num_rows() {
-            let list = |name: &str| {
-                let values = cells.numbers(name, row).filter(|v| v.len() > PUBLISHED);
-                values.map(|v| v[..PUBLISHED].to_vec()).ok_or(format!("{name} of row {row} is too short"))
-            };
-            out.displacement_m.push(list("displacement_m")?);
-            out.force_n.push(list("contact_force_n")?);
-        }
-    }
-    Ok(out)
-}
-
 /// Ballast from ten passages, force of every passage with kernels of its own, rail deflection and wheel path.
 fn whole(input: &Path) -> Result<Value, JobError> {
-    let published = read(input)?;
+    let published = read_published(input, File::open(input)?, PUBLISHED)?;
     let mut track = panel(SOFT, Mesh::default());
     track.rail_halvings = 0;
     let found = calibrate(&track, &published);
@@ -131,7 +107,7 @@ fn paths() -> [WheelPath; 2] {
 }
 
 /// Quasi-static fit. It works on accelerations, so the published displacement is differentiated.
-fn calibrate(track: &Track, published: &Published) -> BallastParameters {
+fn calibrate(track: &Track, published: &Passages) -> BallastParameters {
     let sensor = Sensor {
         sleeper_index: 18,
         y_m: 2.0,

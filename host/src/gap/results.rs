@@ -1,10 +1,7 @@
 //! The files that `diagnose` leaves behind, each complete or absent.
 
 use std::path::Path;
-use std::sync::Arc;
 
-use arrow_array::builder::{Float64Builder, ListBuilder};
-use arrow_array::{ArrayRef, Float64Array, Int32Array};
 use serde_json::{Value, json};
 
 use super::data::RATE_HZ;
@@ -12,7 +9,7 @@ use super::diagnosis::Diagnosis;
 use super::measure::Prediction;
 use crate::recording::RecordingError;
 use crate::recording::files::{create_dir, write_atomic};
-use crate::recording::parquet::write_columns;
+use crate::recording::table::{Column, write_columns};
 use crate::report::{ReportError, diagnosis};
 
 /// Results that cannot be written.
@@ -98,17 +95,12 @@ fn finite(value: f64) -> Option<f64> {
 }
 
 fn write_predictions(file: &Path, predictions: &[Prediction]) -> Result<(), RecordingError> {
-    let lists = |pick: &dyn Fn(&Prediction) -> &Vec<f64>| -> ArrayRef {
-        let mut builder = ListBuilder::new(Float64Builder::new());
-        for p in predictions {
-            builder.values().append_slice(pick(p));
-            builder.append(true);
-        }
-        Arc::new(builder.finish())
+    let lists = |pick: &dyn Fn(&Prediction) -> &Vec<f64>| {
+        Column::NumberLists(predictions.iter().map(|p| pick(p).as_slice()).collect())
     };
-    let columns: [(&str, ArrayRef); 8] = [
-        ("passage_id", Arc::new(predictions.iter().map(|p| Some(p.passage_id)).collect::<Int32Array>())),
-        ("sample_rate_hz", Arc::new(predictions.iter().map(|_| Some(RATE_HZ)).collect::<Float64Array>())),
+    let columns = [
+        ("passage_id", Column::Integers(predictions.iter().map(|p| Some(p.passage_id)).collect())),
+        ("sample_rate_hz", Column::Numbers(vec![Some(RATE_HZ); predictions.len()])),
         ("measured_m_s2", lists(&|p| &p.acceleration[0])),
         ("before_m_s2", lists(&|p| &p.acceleration[1])),
         ("after_m_s2", lists(&|p| &p.acceleration[2])),
@@ -116,5 +108,5 @@ fn write_predictions(file: &Path, predictions: &[Prediction]) -> Result<(), Reco
         ("before_m", lists(&|p| &p.displacement[1])),
         ("after_m", lists(&|p| &p.displacement[2])),
     ];
-    write_columns(file, columns)
+    write_columns(file, &columns)
 }

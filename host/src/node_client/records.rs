@@ -3,15 +3,12 @@
 //! `records.bin` is the journal's records one after another, byte for byte (see `cpcm_shared::record`).
 
 use std::path::Path;
-use std::sync::Arc;
 
-use arrow_array::builder::{ListBuilder, StringBuilder};
-use arrow_array::{ArrayRef, Float64Array, Int32Array};
 use cpcm_shared::checksum;
 use cpcm_shared::record::{FORMAT, Record, Wheelset, flag};
 
 use crate::recording::RecordingError;
-use crate::recording::parquet::write_columns;
+use crate::recording::table::{Column, write_columns};
 
 /// Bytes that are no records.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -102,13 +99,13 @@ pub fn write_records_parquet(file: &Path, records: &[Record]) -> Result<(), Reco
             record.wheelsets.iter().enumerate().map(move |(k, w)| Row { id, record, k, w })
         })
         .collect();
-    let integer = |value: fn(&Row) -> usize| -> ArrayRef {
-        Arc::new(rows.iter().map(|row| i32::try_from(value(row)).ok()).collect::<Int32Array>())
+    let integer = |value: fn(&Row) -> usize| {
+        Column::Integers(rows.iter().map(|row| i32::try_from(value(row)).ok()).collect())
     };
-    let float = |value: fn(&Row) -> f32| -> ArrayRef {
-        Arc::new(rows.iter().map(|row| Some(f64::from(value(row)))).collect::<Float64Array>())
+    let float = |value: fn(&Row) -> f32| {
+        Column::Numbers(rows.iter().map(|row| Some(f64::from(value(row)))).collect())
     };
-    let columns: [(&str, ArrayRef); 8] = [
+    let columns = [
         ("passage_id", integer(|row| row.id)),
         ("wheelset", integer(|row| row.k)),
         ("speed_m_s", float(|row| row.record.speed_m_s)),
@@ -116,9 +113,9 @@ pub fn write_records_parquet(file: &Path, records: &[Record]) -> Result<(), Reco
         ("peak_position_m", float(|row| row.w.peak_position_m)),
         ("peak_lower_n", float(|row| row.w.peak_force_n - row.w.peak_half_width_n)),
         ("peak_upper_n", float(|row| row.w.peak_force_n + row.w.peak_half_width_n)),
-        ("flags", flags(&rows)),
+        ("flags", Column::TextLists(rows.iter().map(|row| flag_names(row.record.flags)).collect())),
     ];
-    write_columns(file, columns)
+    write_columns(file, &columns)
 }
 
 struct Row<'a> {
@@ -126,15 +123,6 @@ struct Row<'a> {
     record: &'a Record,
     k: usize,
     w: &'a Wheelset,
-}
-
-fn flags(rows: &[Row]) -> ArrayRef {
-    let mut builder = ListBuilder::new(StringBuilder::new());
-    for row in rows {
-        flag_names(row.record.flags).into_iter().for_each(|name| builder.values().append_value(name));
-        builder.append(true);
-    }
-    Arc::new(builder.finish())
 }
 
 #[cfg(test)]

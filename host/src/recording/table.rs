@@ -1,19 +1,14 @@
-//! Columns of an Arrow record batch by name, widened where nothing is lost.
+//! Tables of Parquet files: what a column must hold, and the cells of some rows.
+//!
+//! Straight on the format's own columns and levels: a second model of columns in memory would have to be compiled by everyone who
+//! builds this program, for five kinds of column.
 
-use std::path::Path;
+mod layout;
+mod read;
+mod write;
 
-use arrow_array::cast::AsArray;
-use arrow_array::types::{Float32Type, Float64Type, Int32Type, Int64Type};
-use arrow_array::{Array, ArrayRef, RecordBatch};
-use arrow_schema::{DataType, Schema};
-
-use super::RecordingError;
-
-const INTEGER: &str = "int32";
-const NUMBER: &str = "float64";
-const TEXT: &str = "string";
-const TEXTS: &str = "list<string>";
-const NUMBERS: &str = "list<float32> or list<float64>";
+pub(crate) use read::{for_each_batch, for_each_batch_of};
+pub use write::{Column, write_columns};
 
 /// What a column must hold.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -28,112 +23,83 @@ pub(crate) enum Kind {
 impl Kind {
     fn name(self) -> &'static str {
         match self {
-            Kind::Integer => INTEGER,
-            Kind::Number => NUMBER,
-            Kind::Text => TEXT,
-            Kind::Numbers => NUMBERS,
-            Kind::Texts => TEXTS,
-        }
-    }
-
-    fn accepts(self, found: &DataType) -> bool {
-        use DataType::*;
-        match (self, found) {
-            (Kind::Integer, Int32 | Int64) | (Kind::Text, Utf8 | LargeUtf8 | Utf8View) => true,
-            (Kind::Number, Float64 | Float32 | Int32 | Int64) => true,
-            (Kind::Numbers, List(item) | LargeList(item)) => {
-                matches!(item.data_type(), Float32 | Float64)
-            }
-            (Kind::Texts, List(item)) => *item.data_type() == Utf8,
-            _ => false,
+            Kind::Integer => "int32",
+            Kind::Number => "float64",
+            Kind::Text => "string",
+            Kind::Numbers => "list<float32> or list<float64>",
+            Kind::Texts => "list<string>",
         }
     }
 }
 
-/// Refuses a schema in which a column is missing or has another type.
-pub(crate) fn check_schema(
-    file: &Path,
-    schema: &Schema,
-    columns: &[(&'static str, Kind)],
-) -> Result<(), RecordingError> {
-    for &(column, kind) in columns {
-        let Ok(field) = schema.field_with_name(column) else {
-            let names: Vec<&str> = schema.fields().iter().map(|f| f.name().as_str()).collect();
-            return Err(RecordingError::MissingColumn {
-                file: file.into(),
-                column,
-                present: names.join(", "),
-            });
-        };
-        if !kind.accepts(field.data_type()) {
-            return Err(RecordingError::ColumnType {
-                file: file.into(),
-                column,
-                found: field.data_type().to_string(),
-                expected: kind.name(),
-            });
-        }
-    }
-    Ok(())
+/// A list of a cell; `None` is a null among its items.
+pub(crate) type List<T> = Vec<Option<T>>;
+
+/// Cells of one column, widened where nothing is lost; `None` is a null.
+enum Values {
+    Integers(Vec<Option<i64>>),
+    Numbers(Vec<Option<f64>>),
+    Texts(Vec<Option<String>>),
+    NumberLists(Vec<Option<List<f64>>>),
+    TextLists(Vec<Option<List<String>>>),
 }
 
-/// Cells of one batch whose schema has passed [`check_schema`]; `None` is a null.
-pub(crate) struct Cells<'a>(pub(crate) &'a RecordBatch);
+/// Cells of some rows, by the name of the column; `None` is a null, or a column or row that is not there.
+pub(crate) struct Cells {
+    rows: usize,
+    columns: Vec<(&'static str, Values)>,
+}
 
-impl Cells<'_> {
-    fn column(&self, name: &str) -> Option<&ArrayRef> {
-        self.0.column_by_name(name)
+impl Cells {
+    pub(crate) fn rows(&self) -> usize {
+        self.rows
     }
 
-    fn cell(&self, name: &str, row: usize) -> Option<&ArrayRef> {
-        self.column(name).filter(|array| row < array.len() && array.is_valid(row))
+    fn column(&self, name: &str) -> Option<&Values> {
+        self.columns.iter().find(|column| column.0 == name).map(|column| &column.1)
     }
 
     pub(crate) fn integer(&self, name: &str, row: usize) -> Option<i64> {
-        let array = self.cell(name, row)?;
-        match array.data_type() {
-            DataType::Int32 => Some(array.as_primitive::<Int32Type>().value(row).into()),
-            DataType::Int64 => Some(array.as_primitive::<Int64Type>().value(row)),
+        match self.column(name)? {
+            Values::Integers(cells) => *cells.get(row)?,
             _ => None,
         }
     }
 
     pub(crate) fn number(&self, name: &str, row: usize) -> Option<f64> {
-        let array = self.cell(name, row)?;
-        match array.data_type() {
-            DataType::Float64 => Some(array.as_primitive::<Float64Type>().value(row)),
-            DataType::Float32 => Some(array.as_primitive::<Float32Type>().value(row).into()),
-            _ => self.integer(name, row).map(|value| value as f64),
-        }
-    }
-
-    pub(crate) fn text(&self, name: &str, row: usize) -> Option<String> {
-        let array = self.cell(name, row)?;
-        match array.data_type() {
-            DataType::Utf8 => Some(array.as_string::<i32>().value(row).into()),
-            DataType::LargeUtf8 => Some(array.as_string::<i64>().value(row).into()),
-            DataType::Utf8View => Some(array.as_string_view().value(row).into()),
+        match self.column(name)? {
+            Values::Numbers(cells) => *cells.get(row)?,
             _ => None,
         }
     }
 
-    /// The items of a list cell.
-    pub(crate) fn list(&self, name: &str, row: usize) -> Option<ArrayRef> {
-        let array = self.cell(name, row)?;
-        match array.data_type() {
-            DataType::List(_) => Some(array.as_list::<i32>().value(row)),
-            DataType::LargeList(_) => Some(array.as_list::<i64>().value(row)),
+    pub(crate) fn text(&self, name: &str, row: usize) -> Option<&str> {
+        match self.column(name)? {
+            Values::Texts(cells) => cells.get(row)?.as_deref(),
             _ => None,
         }
     }
 
-    /// The items of a list cell as float64; a null item becomes NaN.
+    /// The items of a list of numbers.
+    pub(crate) fn list(&self, name: &str, row: usize) -> Option<&[Option<f64>]> {
+        match self.column(name)? {
+            Values::NumberLists(cells) => cells.get(row)?.as_deref(),
+            _ => None,
+        }
+    }
+
+    /// The items of a list of numbers; a null item becomes NaN.
     pub(crate) fn numbers(&self, name: &str, row: usize) -> Option<Vec<f64>> {
-        self.list(name, row).map(|items| match items.data_type() {
-            DataType::Float32 => {
-                items.as_primitive::<Float32Type>().iter().map(|v| v.map_or(f64::NAN, f64::from)).collect()
+        self.list(name, row).map(|items| items.iter().map(|item| item.unwrap_or(f64::NAN)).collect())
+    }
+
+    /// The items of a list of texts that are not null.
+    pub(crate) fn texts(&self, name: &str, row: usize) -> Option<Vec<String>> {
+        match self.column(name)? {
+            Values::TextLists(cells) => {
+                cells.get(row)?.as_ref().map(|items| items.iter().flatten().cloned().collect())
             }
-            _ => items.as_primitive::<Float64Type>().iter().map(|v| v.unwrap_or(f64::NAN)).collect(),
-        })
+            _ => None,
+        }
     }
 }

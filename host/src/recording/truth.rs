@@ -2,17 +2,14 @@
 //!
 //! Only the scoring of `demo`, `verify` and the tests use this module; `analyse`, `kernel` and `diagnose` never do.
 
+use std::borrow::Cow;
 use std::path::Path;
-use std::sync::Arc;
 
-use arrow_array::builder::{Float32Builder, ListBuilder};
-use arrow_array::{ArrayRef, Float64Array, Int32Array, StringArray};
 use serde::{Deserialize, Serialize};
 
 use super::RecordingError;
 use super::files::{create_dir, read_text, write_atomic};
-use super::parquet::{for_each_batch, write_columns};
-use super::table::{Cells, Kind};
+use super::table::{Cells, Column, Kind, for_each_batch, write_columns};
 
 /// Everything known about a simulated site.
 #[derive(Clone, Debug)]
@@ -104,11 +101,10 @@ pub fn has_truth(dir: &Path) -> bool {
 pub fn read_truth(dir: &Path) -> Result<Truth, RecordingError> {
     let file = dir.join("truth.parquet");
     let mut wheels = Vec::new();
-    for_each_batch(&file, &COLUMNS, |batch| {
-        let cells = Cells(batch);
-        for i in 0..batch.num_rows() {
+    for_each_batch(&file, &COLUMNS, |cells| {
+        for i in 0..cells.rows() {
             let row = wheels.len();
-            wheels.push(wheel(&cells, i).map_err(|column| RecordingError::Cell {
+            wheels.push(wheel(cells, i).map_err(|column| RecordingError::Cell {
                 file: file.clone(),
                 column,
                 row,
@@ -129,7 +125,7 @@ pub fn read_site_truth(dir: &Path) -> Result<SiteTruth, RecordingError> {
 
 /// One row; on failure the column that is at fault.
 fn wheel(cells: &Cells, i: usize) -> Result<WheelTruth, &'static str> {
-    let side = match cells.text("side", i).as_deref() {
+    let side = match cells.text("side", i) {
         Some("crossing") => Side::Crossing,
         Some("stock") => Side::Stock,
         _ => return Err("side"),
@@ -160,29 +156,22 @@ pub fn write_truth(dir: &Path, truth: &Truth) -> Result<(), RecordingError> {
     write_atomic(&file, text.as_bytes())?;
     let w = &truth.wheels;
     let side = |side| if side == Side::Crossing { "crossing" } else { "stock" };
-    let columns: [(&str, ArrayRef); 7] = [
-        ("passage_id", Arc::new(w.iter().map(|w| Some(w.passage_id)).collect::<Int32Array>())),
-        ("wheelset", Arc::new(w.iter().map(|w| Some(w.wheelset as i32)).collect::<Int32Array>())),
-        ("side", Arc::new(w.iter().map(|w| Some(side(w.side))).collect::<StringArray>())),
+    let columns = [
+        ("passage_id", Column::Integers(w.iter().map(|w| Some(w.passage_id)).collect())),
+        ("wheelset", Column::Integers(w.iter().map(|w| i32::try_from(w.wheelset).ok()).collect())),
+        ("side", Column::Texts(w.iter().map(|w| side(w.side)).collect())),
         ("position_m", lists(w, |w| Some(&w.position_m))),
         ("contact_force_n", lists(w, |w| Some(&w.contact_force_n))),
-        ("true_speed_m_s", Arc::new(w.iter().map(|w| Some(w.true_speed_m_s)).collect::<Float64Array>())),
+        ("true_speed_m_s", Column::Numbers(w.iter().map(|w| Some(w.true_speed_m_s)).collect())),
         ("sleeper_displacement_m", lists(w, |w| w.sleeper_displacement_m.as_deref())),
     ];
-    write_columns(&dir.join("truth.parquet"), columns)
+    write_columns(&dir.join("truth.parquet"), &columns)
 }
 
 /// The format keeps these lists in float32.
-fn lists<'a>(wheels: &'a [WheelTruth], list: impl Fn(&'a WheelTruth) -> Option<&'a [f64]>) -> ArrayRef {
-    let mut builder = ListBuilder::new(Float32Builder::new());
-    for wheel in wheels {
-        let values = list(wheel);
-        for &value in values.unwrap_or_default() {
-            builder.values().append_value(value as f32);
-        }
-        builder.append(values.is_some());
-    }
-    Arc::new(builder.finish())
+fn lists<'a>(wheels: &'a [WheelTruth], list: impl Fn(&'a WheelTruth) -> Option<&'a [f64]>) -> Column<'a> {
+    let narrow = |values: &[f64]| Cow::Owned(values.iter().map(|&v| v as f32).collect());
+    Column::SingleLists(wheels.iter().map(|wheel| list(wheel).map(narrow)).collect())
 }
 
 #[cfg(test)]

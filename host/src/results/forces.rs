@@ -1,17 +1,11 @@
 //! `forces.parquet`, out and (for tests and comparisons) in.
 
 use std::path::Path;
-use std::sync::Arc;
-
-use arrow_array::builder::{Float64Builder, ListBuilder, StringBuilder};
-use arrow_array::cast::AsArray;
-use arrow_array::{ArrayRef, Float64Array, Int32Array};
 
 use super::ResultsError;
 use crate::analysis::{Analysis, PassageResult, WheelsetResult};
 use crate::recording::RecordingError;
-use crate::recording::parquet::{for_each_batch, write_columns};
-use crate::recording::table::{Cells, Kind};
+use crate::recording::table::{Cells, Column, Kind, for_each_batch, write_columns};
 
 /// Writes one row per passage and wheelset.
 pub(super) fn write_forces(file: &Path, analysis: &Analysis) -> Result<(), ResultsError> {
@@ -20,15 +14,16 @@ pub(super) fn write_forces(file: &Path, analysis: &Analysis) -> Result<(), Resul
     for (p, w) in &rows {
         check_lengths(p.passage_id, w)?;
     }
-    let float = |value: fn(&PassageResult, &WheelsetResult) -> f64| -> ArrayRef {
-        Arc::new(rows.iter().map(|(p, w)| Some(value(p, w))).collect::<Float64Array>())
+    let float = |value: fn(&PassageResult, &WheelsetResult) -> f64| {
+        Column::Numbers(rows.iter().map(|(p, w)| Some(value(p, w))).collect())
     };
-    let list = |value: fn(&WheelsetResult) -> &[f64]| lists(rows.iter().map(|(_, w)| value(w)));
-    let passage_ids = rows.iter().map(|(p, _)| Some(p.passage_id)).collect::<Int32Array>();
-    let wheelsets = rows.iter().map(|(_, w)| Some(w.wheelset as i32)).collect::<Int32Array>();
-    let columns: [(&str, ArrayRef); 14] = [
-        ("passage_id", Arc::new(passage_ids)),
-        ("wheelset", Arc::new(wheelsets)),
+    let list = |value: fn(&WheelsetResult) -> &[f64]| {
+        Column::NumberLists(rows.iter().map(|(_, w)| value(w)).collect())
+    };
+    let flags = rows.iter().map(|(_, w)| w.flags.iter().map(String::as_str).collect()).collect();
+    let columns = [
+        ("passage_id", Column::Integers(rows.iter().map(|(p, _)| Some(p.passage_id)).collect())),
+        ("wheelset", Column::Integers(rows.iter().map(|(_, w)| i32::try_from(w.wheelset).ok()).collect())),
         ("speed_m_s", float(|p, _| p.speed_m_s)),
         ("position_m", list(|w| &w.position_m)),
         ("contact_force_n", list(|w| &w.contact_force_n)),
@@ -40,9 +35,9 @@ pub(super) fn write_forces(file: &Path, analysis: &Analysis) -> Result<(), Resul
         ("peak_upper_n", float(|_, w| w.peak_force_n.upper)),
         ("irregularity_m", list(|w| &w.irregularity_m)),
         ("irregularity_rms_m", float(|_, w| w.irregularity_rms_m)),
-        ("flags", text_lists(rows.iter().map(|(_, w)| w.flags.as_slice()))),
+        ("flags", Column::TextLists(flags)),
     ];
-    Ok(write_columns(file, columns)?)
+    Ok(write_columns(file, &columns)?)
 }
 
 /// All vectors of a wheelset share one grid; a reader of the file relies on that.
@@ -60,24 +55,6 @@ fn check_lengths(passage_id: i32, w: &WheelsetResult) -> Result<(), ResultsError
         }
         None => Ok(()),
     }
-}
-
-fn lists<'a>(rows: impl Iterator<Item = &'a [f64]>) -> ArrayRef {
-    let mut builder = ListBuilder::new(Float64Builder::new());
-    for values in rows {
-        builder.values().append_slice(values);
-        builder.append(true);
-    }
-    Arc::new(builder.finish())
-}
-
-fn text_lists<'a>(rows: impl Iterator<Item = &'a [String]>) -> ArrayRef {
-    let mut builder = ListBuilder::new(StringBuilder::new());
-    for texts in rows {
-        texts.iter().for_each(|text| builder.values().append_value(text));
-        builder.append(true);
-    }
-    Arc::new(builder.finish())
 }
 
 /// One row of `forces.parquet`; names and units are those of the file.
@@ -120,11 +97,10 @@ const COLUMNS: [(&str, Kind); 14] = [
 /// Reads `forces.parquet`.
 pub fn read_forces(file: &Path) -> Result<Vec<ForceRow>, RecordingError> {
     let mut rows = Vec::new();
-    for_each_batch(file, &COLUMNS, |batch| {
-        let cells = Cells(batch);
-        for i in 0..batch.num_rows() {
+    for_each_batch(file, &COLUMNS, |cells| {
+        for i in 0..cells.rows() {
             let row = rows.len();
-            rows.push(force_row(&cells, i).map_err(|column| RecordingError::Cell {
+            rows.push(force_row(cells, i).map_err(|column| RecordingError::Cell {
                 file: file.into(),
                 column,
                 row,
@@ -141,8 +117,6 @@ fn force_row(cells: &Cells, i: usize) -> Result<ForceRow, &'static str> {
     let integer = |column| cells.integer(column, i).ok_or(column);
     let number = |column| cells.number(column, i).ok_or(column);
     let numbers = |column| cells.numbers(column, i).ok_or(column);
-    let flags = cells.list("flags", i).ok_or("flags")?;
-    let flags = flags.as_string_opt::<i32>().ok_or("flags")?;
     Ok(ForceRow {
         passage_id: i32::try_from(integer("passage_id")?).map_err(|_| "passage_id")?,
         wheelset: usize::try_from(integer("wheelset")?).map_err(|_| "wheelset")?,
@@ -157,6 +131,6 @@ fn force_row(cells: &Cells, i: usize) -> Result<ForceRow, &'static str> {
         peak_upper_n: number("peak_upper_n")?,
         irregularity_m: numbers("irregularity_m")?,
         irregularity_rms_m: number("irregularity_rms_m")?,
-        flags: flags.iter().flatten().map(str::to_string).collect(),
+        flags: cells.texts("flags", i).ok_or("flags")?,
     })
 }

@@ -3,9 +3,11 @@
 //! Displacement of one sensor at 5 kHz, 50 m/s; both wheels exert the same force. The data come from another program
 //! with another mesh and twice the sampling rate, so that the model error is real.
 
+use std::path::Path;
+
 use bytes::Bytes;
 use faer::Mat;
-use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
+use parquet::file::reader::ChunkReader;
 use rand::SeedableRng as _;
 use rand::rngs::StdRng;
 use rand_distr::{Distribution as _, StandardNormal};
@@ -16,7 +18,8 @@ use crate::greens::moving::{WheelPath, kernel};
 use crate::greens::{Chain, GreensFunctions, GreensSampling, Quantity};
 use crate::inverse::displacement::{DisplacementModel, Rule, RuleSolver, fit_by_evidence};
 use crate::progress::Progress;
-use crate::recording::table::Cells;
+use crate::recording::RecordingError;
+use crate::recording::table::{Kind, for_each_batch_of};
 use crate::signal::{brick_band, quantile, rms};
 use crate::track::{Mesh, Side, Track};
 
@@ -42,31 +45,43 @@ macro_rules! shipped {
 const FILES: [(PadCase, Shipped); 2] =
     [(SOFT, shipped!("cpcm_passages_soft.parquet")), (STIFF, shipped!("cpcm_passages_stiff.parquet"))];
 
-/// Passages of one file.
-struct Passages {
-    displacement_m: Vec<Vec<f64>>,
-    force_n: Vec<Vec<f64>>,
+/// Published passages of one bogie, each with its displacement (m) and contact force (N).
+pub(crate) struct Passages {
+    pub displacement_m: Vec<Vec<f64>>,
+    pub force_n: Vec<Vec<f64>>,
 }
 
-fn read((file, bytes): Shipped) -> Result<Passages, VerifyError> {
-    let bad = |reason: String| VerifyError::Passages { file, reason };
-    let reader = ParquetRecordBatchReaderBuilder::try_new(Bytes::from_static(bytes))
-        .and_then(|b| b.build())
-        .map_err(|e| bad(e.to_string()))?;
+/// Reads the first `samples` of every published passage; `file` is for messages.
+pub(crate) fn read_published<R: ChunkReader + 'static>(
+    file: &Path,
+    content: R,
+    samples: usize,
+) -> Result<Passages, RecordingError> {
+    let columns = [("displacement_m", Kind::Numbers), ("contact_force_n", Kind::Numbers)];
     let mut out = Passages { displacement_m: Vec::new(), force_n: Vec::new() };
-    for batch in reader {
-        let batch = batch.map_err(|e| bad(e.to_string()))?;
-        let cells = Cells(&batch);
-        for row in 0..batch.num_rows() {
-            let list = |name: &str| {
-                let values = cells.numbers(name, row).filter(|v| v.len() == SAMPLES);
-                values.ok_or_else(|| bad(format!("{name} of row {row} has not {SAMPLES} values")))
+    for_each_batch_of(file, content, &columns, |cells| {
+        for i in 0..cells.rows() {
+            let row = out.force_n.len();
+            let list = |column| {
+                let mut values = cells.numbers(column, i).unwrap_or_default();
+                if values.len() < samples {
+                    let fault = format!("has {} of {samples} values", values.len());
+                    return Err(RecordingError::Cell { file: file.into(), column, row, fault });
+                }
+                values.truncate(samples);
+                Ok(values)
             };
             out.displacement_m.push(list("displacement_m")?);
             out.force_n.push(list("contact_force_n")?);
         }
-    }
+        Ok(())
+    })?;
     Ok(out)
+}
+
+fn read((file, bytes): Shipped) -> Result<Passages, VerifyError> {
+    read_published(Path::new(file), Bytes::from_static(bytes), SAMPLES)
+        .map_err(|e| VerifyError::Passages { file, reason: e.to_string() })
 }
 
 /// Kernels of the panel for one bogie.

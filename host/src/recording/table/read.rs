@@ -1,0 +1,224 @@
+//! Reading with limits: a few rows of the asked columns at a time.
+
+use std::fs::File;
+use std::path::Path;
+
+use parquet::column::reader::{ColumnReader, ColumnReaderImpl};
+use parquet::data_type::{ByteArray, DataType};
+use parquet::errors::ParquetError;
+use parquet::file::metadata::ParquetMetaData;
+use parquet::file::reader::{ChunkReader, FileReader, SerializedFileReader};
+
+use super::layout::{Layout, layout};
+use super::{Cells, Kind, List, Values};
+use crate::recording::RecordingError;
+use crate::recording::check::MAX_PASSAGES;
+use crate::recording::guard::guarded;
+
+/// Rows decoded at a time: bounds the memory that one batch of long lists takes.
+const BATCH_ROWS: usize = 16;
+/// Largest decoded size of a file, bytes. A damaged or hostile footer may promise far more than the disk holds.
+const MAX_DECODED_BYTES: i64 = 8 << 30;
+
+/// Opens a Parquet file, checks its columns and hands over one batch after the other.
+pub(crate) fn for_each_batch(
+    file: &Path,
+    columns: &[(&'static str, Kind)],
+    use_batch: impl FnMut(&Cells) -> Result<(), RecordingError>,
+) -> Result<(), RecordingError> {
+    let handle =
+        File::open(file).map_err(|source| RecordingError::Io { doing: "open", path: file.into(), source })?;
+    for_each_batch_of(file, handle, columns, use_batch)
+}
+
+/// Like [`for_each_batch`] for what is open already; `file` is for messages.
+pub(crate) fn for_each_batch_of<R: ChunkReader + 'static>(
+    file: &Path,
+    content: R,
+    columns: &[(&'static str, Kind)],
+    mut use_batch: impl FnMut(&Cells) -> Result<(), RecordingError>,
+) -> Result<(), RecordingError> {
+    let damaged = |reason: String| RecordingError::Damaged { file: file.into(), reason };
+    let reader: Box<dyn FileReader> = Box::new(
+        guarded(|| SerializedFileReader::new(content))
+            .map_err(damaged)?
+            .map_err(|e| damaged(e.to_string()))?,
+    );
+    let metadata = reader.metadata();
+    let schema = metadata.file_metadata().schema_descr();
+    let layouts = columns
+        .iter()
+        .map(|&(column, kind)| Ok((column, kind, layout(file, schema, column, kind)?)))
+        .collect::<Result<Vec<_>, RecordingError>>()?;
+    check_size(metadata).map_err(damaged)?;
+    let mut rows = 0;
+    for group in 0..metadata.num_row_groups() {
+        let mut group =
+            guarded(|| Group::open(reader.as_ref(), group, &layouts)).map_err(damaged)?.map_err(damaged)?;
+        while let Some(cells) = guarded(|| group.batch()).map_err(damaged)?.map_err(damaged)? {
+            rows += cells.rows();
+            if rows > MAX_PASSAGES {
+                return Err(damaged(format!("more than {MAX_PASSAGES} rows")));
+            }
+            use_batch(&cells)?;
+        }
+    }
+    if rows == 0 { Err(RecordingError::NoRows { file: file.into() }) } else { Ok(()) }
+}
+
+/// Refuses a footer that promises more than a site can hold, before anything is allocated for it.
+fn check_size(metadata: &ParquetMetaData) -> Result<(), String> {
+    let rows = metadata.file_metadata().num_rows();
+    if rows < 0 || rows > MAX_PASSAGES as i64 {
+        return Err(format!("it announces {rows} rows"));
+    }
+    let mut bytes: i64 = 0;
+    for column in metadata.row_groups().iter().flat_map(|group| group.columns()) {
+        let (size, values) = (column.uncompressed_size(), column.num_values());
+        if size < 0 || !(0..=MAX_DECODED_BYTES / 4).contains(&values) {
+            return Err(format!("it announces {values} values in {size} bytes in one column"));
+        }
+        if column.data_page_offset() < 0 || column.compressed_size() < 0 {
+            return Err("it announces a column before its beginning".into());
+        }
+        bytes = bytes.saturating_add(size);
+    }
+    if bytes > MAX_DECODED_BYTES { Err(format!("it announces {bytes} bytes of data")) } else { Ok(()) }
+}
+
+/// A row group that is being read.
+struct Group {
+    left: usize,
+    columns: Vec<Leaf>,
+}
+
+struct Leaf {
+    column: &'static str,
+    kind: Kind,
+    layout: Layout,
+    reader: ColumnReader,
+}
+
+impl Group {
+    fn open(
+        reader: &dyn FileReader,
+        group: usize,
+        layouts: &[(&'static str, Kind, Layout)],
+    ) -> Result<Self, String> {
+        let group = reader.get_row_group(group).map_err(|e| e.to_string())?;
+        let rows = group.metadata().num_rows();
+        let left = usize::try_from(rows).map_err(|_| format!("it announces {rows} rows in a group"))?;
+        let columns = layouts
+            .iter()
+            .map(|&(column, kind, layout)| {
+                let reader = group.get_column_reader(layout.leaf).map_err(|e| e.to_string())?;
+                Ok(Leaf { column, kind, layout, reader })
+            })
+            .collect::<Result<_, String>>()?;
+        Ok(Self { left, columns })
+    }
+
+    /// The next rows; `None` after the last.
+    fn batch(&mut self) -> Result<Option<Cells>, String> {
+        let rows = self.left.min(BATCH_ROWS);
+        self.left -= rows;
+        if rows == 0 {
+            return Ok(None);
+        }
+        let columns = self
+            .columns
+            .iter_mut()
+            .map(|leaf| {
+                Ok((leaf.column, leaf.values(rows).map_err(|e| format!("column {}: {e}", leaf.column))?))
+            })
+            .collect::<Result<_, String>>()?;
+        Ok(Some(Cells { rows, columns }))
+    }
+}
+
+impl Leaf {
+    fn values(&mut self, rows: usize) -> Result<Values, ParquetError> {
+        let layout = self.layout;
+        Ok(match (self.kind, &mut self.reader) {
+            (Kind::Integer, ColumnReader::Int32ColumnReader(r)) => {
+                Values::Integers(scalars(lists(r, layout, rows, |v| Ok(v.into()))?))
+            }
+            (Kind::Integer, ColumnReader::Int64ColumnReader(r)) => {
+                Values::Integers(scalars(lists(r, layout, rows, Ok)?))
+            }
+            (Kind::Number, reader) => Values::Numbers(scalars(numbers(reader, layout, rows)?)),
+            (Kind::Numbers, reader) => Values::NumberLists(numbers(reader, layout, rows)?),
+            (Kind::Text, ColumnReader::ByteArrayColumnReader(r)) => {
+                Values::Texts(scalars(lists(r, layout, rows, text)?))
+            }
+            (Kind::Texts, ColumnReader::ByteArrayColumnReader(r)) => {
+                Values::TextLists(lists(r, layout, rows, text)?)
+            }
+            _ => return Err(other_type()),
+        })
+    }
+}
+
+fn other_type() -> ParquetError {
+    ParquetError::General("its data have another type than the schema says".into())
+}
+
+fn text(bytes: ByteArray) -> Result<String, ParquetError> {
+    bytes.as_utf8().map(str::to_string)
+}
+
+fn numbers(
+    reader: &mut ColumnReader,
+    layout: Layout,
+    rows: usize,
+) -> Result<Vec<Option<List<f64>>>, ParquetError> {
+    match reader {
+        ColumnReader::DoubleColumnReader(r) => lists(r, layout, rows, Ok),
+        ColumnReader::FloatColumnReader(r) => lists(r, layout, rows, |v| Ok(v.into())),
+        ColumnReader::Int32ColumnReader(r) => lists(r, layout, rows, |v| Ok(v.into())),
+        ColumnReader::Int64ColumnReader(r) => lists(r, layout, rows, |v| Ok(v as f64)),
+        _ => Err(other_type()),
+    }
+}
+
+/// A cell of a column without lists is a list of one.
+fn scalars<T>(lists: Vec<Option<List<T>>>) -> Vec<Option<T>> {
+    lists.into_iter().map(|list| list.and_then(|mut items| items.pop().flatten())).collect()
+}
+
+/// The next rows of a column, each value converted.
+fn lists<T: DataType, V>(
+    reader: &mut ColumnReaderImpl<T>,
+    layout: Layout,
+    rows: usize,
+    convert: impl Fn(T::T) -> Result<V, ParquetError>,
+) -> Result<Vec<Option<List<V>>>, ParquetError> {
+    let (mut definitions, mut repetitions, mut values) = (Vec::new(), Vec::new(), Vec::new());
+    let (read, _, levels) =
+        reader.read_records(rows, Some(&mut definitions), Some(&mut repetitions), &mut values)?;
+    if read != rows {
+        return Err(ParquetError::EOF(format!("it ends {} rows early", rows - read)));
+    }
+    // Levels that are the same throughout are not written.
+    definitions.resize(levels, layout.value);
+    repetitions.resize(levels, 0);
+    let mut values = values.into_iter();
+    let mut lists: Vec<Option<List<V>>> = Vec::with_capacity(rows);
+    for (definition, repetition) in definitions.into_iter().zip(repetitions) {
+        if repetition == 0 {
+            lists.push((definition >= layout.cell).then(Vec::new));
+        }
+        let has_item = if layout.list { definition >= layout.item } else { definition >= layout.value };
+        if let Some(Some(list)) = lists.last_mut()
+            && has_item
+        {
+            let value = if definition == layout.value { values.next() } else { None };
+            list.push(value.map(&convert).transpose()?);
+        }
+    }
+    if lists.len() == rows {
+        Ok(lists)
+    } else {
+        Err(ParquetError::General("its levels contradict its rows".into()))
+    }
+}

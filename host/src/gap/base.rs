@@ -7,7 +7,7 @@ use super::GapError;
 use super::comb::{SPEEDS_M_S, comb};
 use super::data::{Observed, RATE_HZ, window_m};
 use super::effect::Effect;
-use super::fit::{Fit, FitOptions, Frame, State, fit, settled};
+use super::fit::{Fit, FitOptions, Frame, Recall, State, fit, settled};
 use super::forward::Detail;
 use super::linear::{BogieResponses, Linear};
 use super::splines::{PathSplines, matern};
@@ -241,7 +241,8 @@ pub fn base(
         Some(_) => observed.iter().map(|o| BogieResponses::without_path(o.mean.len(), grids.len())).collect(),
     };
     let factors = rough_factors(&observed);
-    let mut frame = Frame { base: world, observed, responses, factors, deviation_root };
+    let mut frame =
+        Frame { base: world, observed, responses, factors, deviation_root, recall: Recall::default() };
     let state = State::start(&frame, &start);
     let options = FitOptions { steps: 5, renew: 3, tolerance: 3.0, damped: false, detail: Detail::Full };
     let first = fit(&frame, &[], state, search, options)?;

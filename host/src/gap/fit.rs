@@ -7,9 +7,11 @@
 
 mod nearby;
 mod priors;
+mod recall;
 mod screening;
 mod settled;
 
+pub use recall::Recall;
 pub use screening::{Direction, Screening, screen};
 pub use settled::{replaced, settled};
 
@@ -40,6 +42,8 @@ pub struct Frame {
     pub factors: Vec<Llt<f64>>,
     /// Factor of the prior covariance of the path's deviation.
     pub deviation_root: Mat<f64>,
+    /// What was simulated lately.
+    pub recall: Recall,
 }
 
 /// Values of everything unknown.
@@ -155,15 +159,25 @@ fn simulate_in(
     frame: &Frame,
     subset: &[usize],
 ) -> Result<Vec<Response>, GapError> {
-    let mut loads: Vec<f64> = subset.iter().map(|i| frame.observed[*i].axle_load_kg).collect();
+    let all: Vec<&Observed> = subset.iter().map(|i| &frame.observed[*i]).collect();
+    let known = frame.recall.find(world, detail, &all);
+    let open: Vec<&Observed> =
+        all.iter().zip(&known).filter(|(_, known)| known.is_none()).map(|(o, _)| *o).collect();
+    let new = simulate_anew(detail, world, &open)?;
+    frame.recall.keep(world, detail, &open, &new);
+    let mut new = new.into_iter();
+    Ok(known.into_iter().filter_map(|known| known.or_else(|| new.next())).collect())
+}
+
+fn simulate_anew(detail: Detail, world: &World, passages: &[&Observed]) -> Result<Vec<Response>, GapError> {
+    let mut loads: Vec<f64> = passages.iter().map(|o| o.axle_load_kg).collect();
     loads.sort_by(f64::total_cmp);
     loads.dedup();
     let simulators: Vec<Simulator> =
         loads.iter().map(|l| Simulator::in_detail(world, *l, detail)).collect::<Result<_, _>>()?;
-    subset
+    passages
         .par_iter()
-        .map(|i| {
-            let o = &frame.observed[*i];
+        .map(|o| {
             let k = loads.iter().position(|l| *l == o.axle_load_kg).unwrap_or(0);
             Ok(simulators[k].response(o.speed_m_s)?)
         })

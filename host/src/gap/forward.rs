@@ -242,6 +242,11 @@ impl Response {
         Self { first_s, step_s, acceleration_m_s2 }
     }
 
+    /// Number of samples.
+    pub fn samples(&self) -> usize {
+        self.acceleration_m_s2.len()
+    }
+
     /// (this − other) / step, for responses at the same speed.
     pub fn less(&self, other: &Response, step: f64) -> Response {
         let difference = self.acceleration_m_s2.iter().zip(&other.acceleration_m_s2);

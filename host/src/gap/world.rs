@@ -13,7 +13,7 @@ use crate::signal::{irfft, rfft, rfft_frequencies_hz};
 use crate::track::Side;
 
 /// Site as assumed. The base model has all deviations at nought; an effect changes some of them.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct World {
     /// Description; pads, rails and masses may differ from the operator's.
     pub crossing: Crossing,
@@ -67,7 +67,7 @@ impl Default for Wheels {
 }
 
 /// What the wheels run over: a scan where there is one, and what the recordings add to it.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Path {
     /// Scan, faded out beyond its ends.
     pub scan: Profile,

@@ -41,11 +41,13 @@ step "firmware: flash and RAM of both boards"
 cargo test --release --package cpcm-tests --test firmware -- --nocapture
 
 step "tests"
-# As users run it: simulations and diagnoses take half the time of a build with checked arithmetic. What runs on the node is
-# tested with checks as well.
-cargo test --package cpcm-shared --no-fail-fast
-# Libraries and whole-system tests, which call the program as users do; together, so that the two longest compilations share the cores.
-cargo test --release --no-fail-fast --lib --test '*'
+# What runs on the node, with its arithmetic and its assertions checked; of the release profile, whose dependencies are compiled anyway.
+cargo test --release --package cpcm-shared --lib --no-fail-fast \
+    --config 'profile.release.package.cpcm-shared.overflow-checks=true' \
+    --config 'profile.release.package.cpcm-shared.debug-assertions=true'
+# The library and whole-system tests, which call the program as users do: simulations and diagnoses take half the time of a build with
+# checked arithmetic. Together, so that the two longest compilations share the cores.
+cargo test --release --no-fail-fast --package cpcm --package cpcm-tests --lib --test '*'
 
 step "blind trials: 20 withheld effects, scored"
 cargo run --release --package cpcm --bin cpcm -- blind-trial --seed 7 --trials 20 --check --out target/blind-trial

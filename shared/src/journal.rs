@@ -424,31 +424,46 @@ mod tests {
     #[test]
     fn property_power_cut_at_every_byte_loses_nothing_acknowledged() {
         let mut nor = flash();
-        let mut cuts = 0;
-        for sequence in 0..90 {
-            for cut in 0.. {
-                let mut hurt = nor.cut_after(cut);
-                let acknowledged = append(&mut hurt, sequence).is_ok();
-                let mut back = hurt.power_back();
-                let after = found(&mut back);
-                check_survivors(&after, sequence, acknowledged);
-                if acknowledged {
-                    break;
-                }
-                cuts += 1;
-                if cut % 3 == sequence as usize % 3 {
-                    let next = mounted(&mut back).next_sequence();
-                    let mut again = back.cut_after(cut);
-                    let _ = append(&mut again, next);
-                    back = again.power_back();
-                }
-                let next = mounted(&mut back).next_sequence();
-                assert_eq!(append(&mut back, next), Ok(()), "cannot go on after cut {cut} of {sequence}");
-                check_survivors(&found(&mut back), next, true);
-            }
-            append(&mut nor, sequence).unwrap();
-        }
+        let before: StdVec<Nor> = (0..90)
+            .map(|sequence| {
+                let before = nor.clone();
+                append(&mut nor, sequence).unwrap();
+                before
+            })
+            .collect();
+        let half = |first: usize| -> usize {
+            let every_other = before.iter().zip(0..).skip(first).step_by(2);
+            every_other.map(|(nor, sequence)| cut_at_every_byte(nor, sequence)).sum()
+        };
+        let cuts = std::thread::scope(|scope| {
+            let other = scope.spawn(|| half(1));
+            half(0) + other.join().unwrap()
+        });
         assert!(cuts > 90 * 270, "{cuts}");
+    }
+
+    /// Number of cuts it takes until the append of `sequence` to `nor` goes through.
+    fn cut_at_every_byte(nor: &Nor, sequence: u32) -> usize {
+        for cut in 0.. {
+            let mut hurt = nor.cut_after(cut);
+            let acknowledged = append(&mut hurt, sequence).is_ok();
+            let mut back = hurt.power_back();
+            let after = found(&mut back);
+            check_survivors(&after, sequence, acknowledged);
+            if acknowledged {
+                return cut;
+            }
+            if cut % 3 == sequence as usize % 3 {
+                let next = mounted(&mut back).next_sequence();
+                let mut again = back.cut_after(cut);
+                let _ = append(&mut again, next);
+                back = again.power_back();
+            }
+            let next = mounted(&mut back).next_sequence();
+            assert_eq!(append(&mut back, next), Ok(()), "cannot go on after cut {cut} of {sequence}");
+            check_survivors(&found(&mut back), next, true);
+        }
+        unreachable!("an append ends")
     }
 
     /// Records before the one being written are there without gap, back to the segment that was given up.

@@ -31,6 +31,11 @@ pub enum SimulationError {
     #[error("path {path} of wheel {wheel} does not exist; the crossing has {paths} paths")]
     Path { path: usize, wheel: usize, paths: usize },
 
+    #[error(
+        "axles {before_m} m and then {after_m} m behind the first: the units of a train come front to rear, one behind the other"
+    )]
+    Order { before_m: f64, after_m: f64 },
+
     #[error("the simulation left the finite numbers {time_s:.4} s after its start; halve the time step")]
     Diverged { time_s: f64 },
 }

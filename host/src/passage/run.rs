@@ -4,7 +4,7 @@ use pulp::Simd;
 
 use super::contact::{ContactLaw, Contacts};
 use super::error::{SimulationError, in_range};
-use super::model::RailPoint;
+use super::model::{CHUNK, RailPoint};
 use super::stepper::{Stepper, TrackState};
 use super::surface::{RunningSurface, smooth_step};
 use super::unit::{CONTACTS, Train, UnitState, UnitStepper, Wheel};
@@ -90,6 +90,8 @@ struct Running {
     first_wheel: usize,
     wheels: usize,
     force_n: [f64; CONTACTS],
+    /// Of the step that has begun.
+    contacts: [Contact; CONTACTS],
     phase: Phase,
 }
 
@@ -117,6 +119,8 @@ struct Contact {
 const QUIET_M: f64 = 1e-12;
 /// How often rest and finiteness are looked at, steps.
 const LOOK_EVERY: usize = 64;
+/// Bogies whose contacts are solved at once, in neighbouring lanes.
+const AT_ONCE: usize = CHUNK / CONTACTS;
 /// Newton steps over the wheels of a bogie; two do unless a wheel comes back from the air.
 const NEWTON_STEPS: usize = 30;
 /// Change of the approach at which they stop, part of the free one. Convergence is quadratic, and a wheel feels a
@@ -311,29 +315,25 @@ impl<'a> Passage<'a> {
         any
     }
 
-    /// Contacts of one unit, then its motion; loads the track.
+    /// Begins the step of one unit: its motion without contact forces, and how far each wheel would then be in the rail.
     #[inline(always)]
-    fn unit_step<S: Simd>(
-        &self,
-        simd: S,
-        track: &mut TrackState,
-        unit: &mut Running,
-        travelled_m: f64,
-        traces: &mut [ContactTrace],
-    ) {
+    fn approach<S: Simd>(&self, simd: S, track: &TrackState, unit: &mut Running, travelled_m: f64) {
         let wheels = &self.train.wheels[unit.first_wheel..unit.first_wheel + unit.wheels];
         let mut static_n = [0.0; CONTACTS];
         for (force, wheel) in static_n.iter_mut().zip(wheels) {
             *force = wheel.static_force_n;
         }
         unit.stepper.begin(&mut unit.state, &static_n[..unit.wheels]);
-        let mut contacts = [Contact::default(); CONTACTS];
-        for (i, contact) in contacts.iter_mut().enumerate().take(unit.wheels) {
-            *contact = self.contact(simd, track, unit, i, travelled_m);
+        for i in 0..unit.wheels {
+            unit.contacts[i] = self.contact(simd, track, unit, i, travelled_m);
         }
-        self.solve_forces(simd, unit, &contacts);
+    }
+
+    /// Ends the step of one unit, whose contact forces are known; loads the track.
+    #[inline(always)]
+    fn roll_on(&self, track: &mut TrackState, unit: &mut Running, traces: &mut [ContactTrace]) {
         unit.stepper.finish(&mut unit.state, &unit.force_n[..unit.wheels]);
-        for (i, contact) in contacts.iter().enumerate().take(unit.wheels) {
+        for (i, contact) in unit.contacts.iter().enumerate().take(unit.wheels) {
             if let Some(point) = &contact.point {
                 self.stepper.load(track, point, contact.share * unit.force_n[i]);
             }
@@ -396,22 +396,31 @@ impl<'a> Passage<'a> {
         rail + waves + wheel.flat.map_or(0.0, |f| f.at(along_m, radius))
     }
 
-    /// Contact forces of one unit, coupled through the wheelsets.
+    /// Contact forces of at most [`AT_ONCE`] units, each coupled through its wheelsets.
     #[inline(always)]
-    fn solve_forces<S: Simd>(&self, simd: S, unit: &mut Running, contacts: &[Contact; CONTACTS]) {
+    fn solve_forces<S: Simd>(&self, simd: S, units: &mut [Running]) {
         let ahead = self.stepper.step.theta * self.stepper.step.dt_s;
         let mut lanes = Contacts::default();
-        for i in 0..unit.wheels {
-            lanes.force_n[i] = unit.force_n[i];
-            lanes.compliance_m_n[i] = ahead * unit.stepper.compliance[i][i] + contacts[i].rail_m_n;
+        for (u, unit) in units.iter().enumerate() {
+            for i in 0..CONTACTS {
+                let lane = u * CONTACTS + i;
+                lanes.force_n[lane] = unit.force_n[i];
+                lanes.compliance_m_n[lane] =
+                    ahead * unit.stepper.compliance[i][i] + unit.contacts[i].rail_m_n;
+            }
         }
         for newton_step in 0..NEWTON_STEPS {
-            for i in 0..unit.wheels {
-                let through_others: f64 =
-                    (0..CONTACTS).map(|j| unit.stepper.others[i][j] * lanes.force_n[j]).sum();
-                lanes.free_m[i] = contacts[i].free_m - ahead * through_others;
-                if newton_step == 0 {
-                    lanes.approach_m[i] = lanes.free_m[i] - lanes.compliance_m_n[i] * lanes.force_n[i];
+            for (u, unit) in units.iter().enumerate() {
+                for i in 0..CONTACTS {
+                    let lane = u * CONTACTS + i;
+                    let through_others: f64 = (0..CONTACTS)
+                        .map(|j| unit.stepper.others[i][j] * lanes.force_n[u * CONTACTS + j])
+                        .sum();
+                    lanes.free_m[lane] = unit.contacts[i].free_m - ahead * through_others;
+                    if newton_step == 0 {
+                        lanes.approach_m[lane] =
+                            lanes.free_m[lane] - lanes.compliance_m_n[lane] * lanes.force_n[lane];
+                    }
                 }
             }
             let before = lanes.approach_m;
@@ -419,11 +428,13 @@ impl<'a> Passage<'a> {
             let still = |i: usize| {
                 (lanes.approach_m[i] - before[i].max(0.0)).abs() <= APPROACH_TOLERANCE * lanes.free_m[i].abs()
             };
-            if (0..CONTACTS).all(still) {
+            if (0..CHUNK).all(still) {
                 break;
             }
         }
-        unit.force_n.copy_from_slice(&lanes.force_n[..CONTACTS]);
+        for (unit, force_n) in units.iter_mut().zip(lanes.force_n.chunks_exact(CONTACTS)) {
+            unit.force_n.copy_from_slice(force_n);
+        }
     }
 
     fn initial_track(&self) -> Result<TrackState, SimulationError> {
@@ -471,7 +482,16 @@ impl<'a> Passage<'a> {
             }
             let state = stepper.at_rest(&height[..unit.wheels()]);
             let wheels = unit.wheels();
-            units.push(Running { stepper, state, first_wheel, wheels, force_n, phase: Phase::Before });
+            let contacts = [Contact::default(); CONTACTS];
+            units.push(Running {
+                stepper,
+                state,
+                first_wheel,
+                wheels,
+                force_n,
+                contacts,
+                phase: Phase::Before,
+            });
             first_wheel += wheels;
         }
         Ok(units)
@@ -492,8 +512,22 @@ impl pulp::WithSimd for AllContacts<'_, '_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        for unit in self.units.iter_mut().filter(|u| u.phase == Phase::On) {
-            self.passage.unit_step(simd, self.track, unit, self.travelled_m, self.traces);
+        // Front to rear, so that those on the track follow one another.
+        let on = |unit: &Running| unit.phase == Phase::On;
+        let first = self.units.iter().position(on).unwrap_or(0);
+        let units = &mut self.units[first..];
+        let count = units.iter().position(|unit| !on(unit)).unwrap_or(units.len());
+        let units = &mut units[..count];
+        // All approaches before any load: what one bogie does to the rail under another within a step is below the cut of the
+        // influence, and looking for it would make each wait for the one before.
+        for unit in &mut *units {
+            self.passage.approach(simd, self.track, unit, self.travelled_m);
+        }
+        for some in units.chunks_mut(AT_ONCE) {
+            self.passage.solve_forces(simd, some);
+        }
+        for unit in units {
+            self.passage.roll_on(self.track, unit, self.traces);
         }
     }
 }

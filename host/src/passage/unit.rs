@@ -199,6 +199,12 @@ impl Train {
         if self.wheels.len() != 2 * axles {
             return Err(SimulationError::Wheels { axles, wheels: self.wheels.len() });
         }
+        let offset_m = || self.units.iter().flat_map(|u| &u.axle_offset_m);
+        if let Some((before, after)) =
+            offset_m().zip(offset_m().skip(1)).find(|(before, after)| before > after)
+        {
+            return Err(SimulationError::Order { before_m: *before, after_m: *after });
+        }
         for (wheel, w) in self.wheels.iter().enumerate() {
             in_range("static wheel force", w.static_force_n, [1.0, 1e6], "N")?;
             if w.path >= paths {

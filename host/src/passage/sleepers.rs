@@ -242,17 +242,15 @@ impl Sleepers {
                     let v = &mut v[of];
                     for i in 0..BLOCK {
                         let at = i * p + part;
-                        let mut sum = simd.add_f64s(b[at], f[at]);
-                        sum = simd.mul_add_f64s(simd.splat_f64s(seat[0][i]), p0, sum);
-                        sum = simd.mul_add_f64s(simd.splat_f64s(seat[1][i]), p1, sum);
-                        v[at] = simd.mul_f64s(inverse[at], sum);
+                        v[at] = rate(simd, (b[at], f[at]), [seat[0][i], seat[1][i]], [p0, p1], inverse[at]);
                     }
                 }
             }
         }
     }
 
-    /// New b and u of the sleepers, and forces of the pads on their way into b; `rails`: old displacement.
+    /// Rates v of the sleepers, their new b and u, and forces of the pads on their way into b; `rails`: old displacement. After
+    /// [`Sleepers::compress`]; in one pass, because what it reads does not all fit into the nearest cache.
     ///
     /// With K = E + k B − pads: b ← b + f/θ − K (u/θ + 2 dt v) − C v/θ.
     #[inline(always)]
@@ -267,8 +265,9 @@ impl Sleepers {
         let (crossing, stock) = rails[..2 * stride].split_at(stride);
         let (crossing, stock) = (vectors::<S>(crossing), vectors::<S>(stock));
         let SleeperState { u, v, b, correction, pads, deformation, .. } = state;
-        let (v, f) = (of_chunks::<S>(v), of_chunks::<S>(correction));
-        let [u, b, pads, deformation] = [u, b, pads, deformation].map(|row| of_chunks_mut::<S>(row));
+        let (f, inverse) = (of_chunks::<S>(correction), of_chunks::<S>(&self.inverse));
+        let [u, v, b, pads, deformation] = [u, v, b, pads, deformation].map(|row| of_chunks_mut::<S>(row));
+        let effective = simd.splat_f64s(self.pad.effective);
         let (dt, per_theta) = (simd.splat_f64s(dt_s), simd.splat_f64s(1.0 / theta));
         let elastic_rate = simd.splat_f64s(self.elastic_damping_s / theta + 2.0 * dt_s);
         let pad_stiffness = simd.splat_f64s(self.pad.stiffness / theta);
@@ -278,12 +277,16 @@ impl Sleepers {
             let pads = &mut pads[chunk * 2 * p..(chunk + 1) * 2 * p];
             for part in 0..p {
                 let (mut seat0, mut seat1) = (crossing[chunk * p + part], stock[chunk * p + part]);
+                let pressed =
+                    [simd.mul_f64s(effective, pads[part]), simd.mul_f64s(effective, pads[p + part])];
                 for (block, seat) in self.seat.iter().enumerate() {
                     let of = block_range::<S>(chunk * n + block * BLOCK);
-                    let (v, u) = (&v[of.clone()], &u[of]);
+                    let (b, f, inverse) = (&b[of.clone()], &f[of.clone()], &inverse[of.clone()]);
+                    let (v, u) = (&mut v[of.clone()], &u[of]);
                     let deformation = &mut deformation[block_range::<S>(block * BLOCK)];
                     for i in 0..BLOCK {
                         let at = i * p + part;
+                        v[at] = rate(simd, (b[at], f[at]), [seat[0][i], seat[1][i]], pressed, inverse[at]);
                         seat0 = simd.mul_add_f64s(simd.splat_f64s(-seat[0][i]), u[at], seat0);
                         seat1 = simd.mul_add_f64s(simd.splat_f64s(-seat[1][i]), u[at], seat1);
                         deformation[at] =
@@ -377,6 +380,21 @@ impl Sleepers {
         }
         Ok(converted)
     }
+}
+
+/// Rate of a coordinate under what acts on it: b and the bed's correction, and the pads.
+#[inline(always)]
+fn rate<S: Simd>(
+    simd: S,
+    (b, f): (S::f64s, S::f64s),
+    seat: [f64; 2],
+    pads: [S::f64s; 2],
+    inverse: S::f64s,
+) -> S::f64s {
+    let sum = simd.add_f64s(b, f);
+    let sum = simd.mul_add_f64s(simd.splat_f64s(seat[0]), pads[0], sum);
+    let sum = simd.mul_add_f64s(simd.splat_f64s(seat[1]), pads[1], sum);
+    simd.mul_f64s(inverse, sum)
 }
 
 /// Values per coordinate in blocks, filled up with zeros.

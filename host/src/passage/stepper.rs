@@ -179,7 +179,7 @@ impl Stepper {
         self.arch.dispatch(Finish(self, state));
     }
 
-    /// New b and u from the rates.
+    /// Rates of the sleepers; new b and u from all rates.
     #[inline(always)]
     fn advance<S: pulp::Simd>(&self, simd: S, TrackState { rail, sleeper, .. }: &mut TrackState) {
         let (step, stride) = ((self.step.dt_s, self.step.theta), self.model.layout.stride);
@@ -245,7 +245,6 @@ impl pulp::WithSimd for Finish<'_> {
         let TrackState { rail, sleeper, work, seats } = &mut *state;
         stepper.effective.solve_rails(simd, work, &mut rail.v, seats);
         stepper.sleepers.compress(simd, sleeper, &rail.v);
-        stepper.sleepers.rates(simd, sleeper);
         stepper.advance(simd, state);
     }
 }

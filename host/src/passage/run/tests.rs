@@ -260,6 +260,14 @@ fn property_impossible_input_is_refused_with_the_value() {
         go(&lost, LINEAR, &journey(50.0, 0.1)).unwrap_err(),
         SimulationError::Path { path: 3, wheel: 0, paths: 1 }
     );
+    let mut backwards = wheelset();
+    let behind = VehicleUnit::wheelset(1340.0, 700.0, 0.75, -2.9).unwrap();
+    (backwards.units, backwards.wheels) =
+        ([backwards.units, vec![behind]].concat(), [backwards.wheels.clone(), backwards.wheels].concat());
+    assert_eq!(
+        go(&backwards, LINEAR, &journey(50.0, 0.1)).unwrap_err(),
+        SimulationError::Order { before_m: 0.0, after_m: -2.9 }
+    );
     let negative = go(&wheelset(), ContactLaw::Linear(-1.0), &journey(50.0, 0.1)).unwrap_err();
     assert!(negative.to_string().contains("-1"), "{negative}");
     let standing = go(&wheelset(), LINEAR, &journey(0.0, 0.1)).unwrap_err();

@@ -228,7 +228,7 @@ impl Simulator {
 }
 
 /// Acceleration over recorder time since the front axle was at x = 0.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Response {
     first_s: f64,
     step_s: f64,

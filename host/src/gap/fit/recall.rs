@@ -78,3 +78,59 @@ impl Recall {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::{Frame, simulate, simulate_in};
+    use super::*;
+    use crate::gap::base::base;
+    use crate::gap::diagnosis::PATH_PRIOR;
+    use crate::gap::world::SensorModel;
+    use crate::recording::read_site;
+
+    /// Three passages.
+    fn frame() -> Frame {
+        let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/data/field/reference-1");
+        let mut site = read_site(&root).unwrap();
+        site.passages.truncate(3);
+        base(&site, &[0], &[0], &PATH_PRIOR, SensorModel::default()).unwrap().frame
+    }
+
+    #[test]
+    fn property_what_is_recalled_is_what_is_simulated() {
+        let (frame, all) = (frame(), [0, 1, 2]);
+        let kept = || frame.recall.0.lock().unwrap().worlds.len();
+        let mut world = frame.base.clone();
+        world.ballast.p2_n_m2 *= 1.01;
+        let (before, first) = (kept(), simulate(&world, &frame, &all[..2]).unwrap());
+        assert_eq!(kept(), before + 1, "a world that was not there");
+        let again = simulate(&world, &frame, &all).unwrap();
+        assert_eq!((&again[..2], kept()), (&first[..], before + 2), "one of three passages was open");
+        assert_eq!(simulate(&world, &frame, &all).unwrap(), again);
+        assert_eq!(kept(), before + 2, "nothing was open");
+        let rough = simulate_in(Detail::Scouting, &world, &frame, &all).unwrap();
+        assert_ne!(rough, again, "another detail is another simulation");
+        world.sensor.mount = Some((300.0, 0.1));
+        assert_ne!(simulate(&world, &frame, &all).unwrap(), again, "another sensor shows something else");
+    }
+
+    #[test]
+    fn property_the_oldest_are_forgotten() {
+        let (frame, recall) = (frame(), Recall::default());
+        let passage = &frame.observed[0];
+        let worlds: Vec<World> = (0..5)
+            .map(|k| {
+                let mut world = frame.base.clone();
+                world.ballast.p1_n_m2 += f64::from(k);
+                world
+            })
+            .collect();
+        let third = Response::of(0.0, 1e-3, vec![0.0; MOST_VALUES / 3]);
+        for world in &worlds {
+            recall.keep(world, Detail::Full, &[passage], std::slice::from_ref(&third));
+            assert!(recall.0.lock().unwrap().values <= MOST_VALUES);
+        }
+        let there = worlds.iter().map(|w| recall.find(w, Detail::Full, &[passage])[0].is_some());
+        assert_eq!(there.collect::<Vec<_>>(), [false, false, true, true, true]);
+    }
+}

@@ -15,8 +15,9 @@ use crate::recording::RecordingError;
 use crate::recording::check::MAX_PASSAGES;
 use crate::recording::guard::guarded;
 
-/// Rows decoded at a time: bounds the memory that one batch of long lists takes.
-const BATCH_ROWS: usize = 16;
+/// Rows decoded at a time, and the bytes that they may take in the file's own form, as far as one row does not take more: long lists
+/// need six times as much while they are taken apart.
+const BATCH: (usize, u64) = (16, 32 << 20);
 /// Largest decoded size of a file, bytes. A damaged or hostile footer may promise far more than the disk holds.
 const MAX_DECODED_BYTES: i64 = 8 << 30;
 
@@ -89,6 +90,8 @@ fn check_size(metadata: &ParquetMetaData) -> Result<(), String> {
 /// A row group that is being read.
 struct Group {
     left: usize,
+    /// Rows of a batch.
+    batch: usize,
     columns: Vec<Leaf>,
 }
 
@@ -108,6 +111,8 @@ impl Group {
         let group = reader.get_row_group(group).map_err(|e| e.to_string())?;
         let rows = group.metadata().num_rows();
         let left = usize::try_from(rows).map_err(|_| format!("it announces {rows} rows in a group"))?;
+        let bytes_per_row = group.metadata().total_byte_size().unsigned_abs() / (left as u64).max(1);
+        let batch = (BATCH.1 / bytes_per_row.max(1)).clamp(1, BATCH.0 as u64) as usize;
         let columns = layouts
             .iter()
             .map(|&(column, kind, layout)| {
@@ -115,12 +120,12 @@ impl Group {
                 Ok(Leaf { column, kind, layout, reader })
             })
             .collect::<Result<_, String>>()?;
-        Ok(Self { left, columns })
+        Ok(Self { left, batch, columns })
     }
 
     /// The next rows; `None` after the last.
     fn batch(&mut self) -> Result<Option<Cells>, String> {
-        let rows = self.left.min(BATCH_ROWS);
+        let rows = self.left.min(self.batch);
         self.left -= rows;
         if rows == 0 {
             return Ok(None);

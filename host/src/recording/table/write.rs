@@ -22,11 +22,11 @@ pub enum Column<'a> {
     Numbers(Vec<Option<f64>>),
     /// string
     Texts(Vec<&'a str>),
-    /// list<float32>
+    /// `list<float32>`
     SingleLists(Vec<Option<Cow<'a, [f32]>>>),
-    /// list<float64>
+    /// `list<float64>`
     NumberLists(Vec<&'a [f64]>),
-    /// list<string>
+    /// `list<string>`
     TextLists(Vec<Vec<&'a str>>),
 }
 

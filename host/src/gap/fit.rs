@@ -11,7 +11,7 @@ mod recall;
 mod screening;
 mod settled;
 
-pub use recall::Recall;
+pub use recall::{Recall, simulate};
 pub use screening::{Direction, Screening, screen};
 pub use settled::{replaced, settled};
 
@@ -21,10 +21,11 @@ use rayon::prelude::*;
 
 use self::nearby::Nearby;
 use self::priors::{BALLAST_PRIOR, SHIFT_SD_M, add_prior, common_shift, prior_cost};
+use self::recall::simulate_in;
 use super::GapError;
 use super::data::Observed;
 use super::effect::Effect;
-use super::forward::{Detail, Response, Simulator};
+use super::forward::{Detail, Response};
 use super::linear::BogieResponses;
 use super::world::{SensorModel, World};
 use crate::ballast::BallastParameters;
@@ -146,42 +147,6 @@ impl State {
         }
         world
     }
-}
-
-/// Responses of the bogies of some passages for one world.
-pub fn simulate(world: &World, frame: &Frame, subset: &[usize]) -> Result<Vec<Response>, GapError> {
-    simulate_in(Detail::Full, world, frame, subset)
-}
-
-fn simulate_in(
-    detail: Detail,
-    world: &World,
-    frame: &Frame,
-    subset: &[usize],
-) -> Result<Vec<Response>, GapError> {
-    let all: Vec<&Observed> = subset.iter().map(|i| &frame.observed[*i]).collect();
-    let known = frame.recall.find(world, detail, &all);
-    let open: Vec<&Observed> =
-        all.iter().zip(&known).filter(|(_, known)| known.is_none()).map(|(o, _)| *o).collect();
-    let new = simulate_anew(detail, world, &open)?;
-    frame.recall.keep(world, detail, &open, &new);
-    let mut new = new.into_iter();
-    Ok(known.into_iter().filter_map(|known| known.or_else(|| new.next())).collect())
-}
-
-fn simulate_anew(detail: Detail, world: &World, passages: &[&Observed]) -> Result<Vec<Response>, GapError> {
-    let mut loads: Vec<f64> = passages.iter().map(|o| o.axle_load_kg).collect();
-    loads.sort_by(f64::total_cmp);
-    loads.dedup();
-    let simulators: Vec<Simulator> =
-        loads.iter().map(|l| Simulator::in_detail(world, *l, detail)).collect::<Result<_, _>>()?;
-    passages
-        .par_iter()
-        .map(|o| {
-            let k = loads.iter().position(|l| *l == o.axle_load_kg).unwrap_or(0);
-            Ok(simulators[k].response(o.speed_m_s)?)
-        })
-        .collect()
 }
 
 /// Mean windows that the recorder would show of given responses; every train later by `late_m`.

@@ -3,7 +3,8 @@
 
 use rayon::prelude::*;
 
-use super::{Frame, simulate_in};
+use super::Frame;
+use super::recall::simulate_in;
 use crate::gap::GapError;
 use crate::gap::data::Observed;
 use crate::gap::forward::{Detail, Response};

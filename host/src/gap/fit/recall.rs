@@ -1,4 +1,4 @@
-//! What was simulated lately: searches come back to where they have been.
+//! Simulation of passages, and what was simulated lately: searches come back to where they have been.
 //!
 //! A fit begins where the one before has ended, passages are moved without the track under them changing, and a round without success
 //! is repeated after something else was taken out. A twentieth to a third of all simulations of a diagnosis had been done before.
@@ -6,9 +6,49 @@
 use std::collections::VecDeque;
 use std::sync::{Mutex, PoisonError};
 
+use rayon::prelude::*;
+
+use super::Frame;
+use crate::gap::GapError;
 use crate::gap::data::Observed;
-use crate::gap::forward::{Detail, Response};
+use crate::gap::forward::{Detail, Response, Simulator};
 use crate::gap::world::World;
+
+/// Responses of the bogies of some passages for one world.
+pub fn simulate(world: &World, frame: &Frame, subset: &[usize]) -> Result<Vec<Response>, GapError> {
+    simulate_in(Detail::Full, world, frame, subset)
+}
+
+pub(super) fn simulate_in(
+    detail: Detail,
+    world: &World,
+    frame: &Frame,
+    subset: &[usize],
+) -> Result<Vec<Response>, GapError> {
+    let all: Vec<&Observed> = subset.iter().map(|i| &frame.observed[*i]).collect();
+    let known = frame.recall.find(world, detail, &all);
+    let open: Vec<&Observed> =
+        all.iter().zip(&known).filter(|(_, known)| known.is_none()).map(|(o, _)| *o).collect();
+    let new = simulate_anew(detail, world, &open)?;
+    frame.recall.keep(world, detail, &open, &new);
+    let mut new = new.into_iter();
+    Ok(known.into_iter().filter_map(|known| known.or_else(|| new.next())).collect())
+}
+
+fn simulate_anew(detail: Detail, world: &World, passages: &[&Observed]) -> Result<Vec<Response>, GapError> {
+    let mut loads: Vec<f64> = passages.iter().map(|o| o.axle_load_kg).collect();
+    loads.sort_by(f64::total_cmp);
+    loads.dedup();
+    let simulators: Vec<Simulator> =
+        loads.iter().map(|l| Simulator::in_detail(world, *l, detail)).collect::<Result<_, _>>()?;
+    passages
+        .par_iter()
+        .map(|o| {
+            let k = loads.iter().position(|l| *l == o.axle_load_kg).unwrap_or(0);
+            Ok(simulators[k].response(o.speed_m_s)?)
+        })
+        .collect()
+}
 
 /// Values kept, 8 bytes each: some hundred worlds with a dozen passages each.
 const MOST_VALUES: usize = 6 << 20;
@@ -44,12 +84,7 @@ fn passing(o: &Observed) -> Passing {
 
 impl Recall {
     /// Of every passage the response in `world`, where it is known.
-    pub(super) fn find(
-        &self,
-        world: &World,
-        detail: Detail,
-        passages: &[&Observed],
-    ) -> Vec<Option<Response>> {
+    fn find(&self, world: &World, detail: Detail, passages: &[&Observed]) -> Vec<Option<Response>> {
         let kept = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         // What differs most often is compared first.
         let same =
@@ -63,11 +98,11 @@ impl Recall {
     }
 
     /// Keeps responses, and forgets the oldest that are too many.
-    pub(super) fn keep(&self, world: &World, detail: Detail, passages: &[&Observed], responses: &[Response]) {
+    fn keep(&self, world: &World, detail: Detail, passages: &[&Observed], responses: &[Response]) {
         if passages.is_empty() {
             return;
         }
-        let responses = passages.iter().map(|o| passing(o)).zip(responses.iter().cloned()).collect();
+        let responses = passages.iter().copied().map(passing).zip(responses.iter().cloned()).collect();
         let new = Simulated { world: world.clone(), detail, responses };
         let mut kept = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         kept.values += new.values();
@@ -81,7 +116,6 @@ impl Recall {
 
 #[cfg(test)]
 mod tests {
-    use super::super::{Frame, simulate, simulate_in};
     use super::*;
     use crate::gap::base::base;
     use crate::gap::diagnosis::PATH_PRIOR;

@@ -15,12 +15,10 @@ pub(super) struct Layout {
     pub leaf: usize,
     /// Definition level from which a cell is not null.
     pub cell: i16,
-    /// Definition level from which a list has an item; `cell` where the column is no list.
+    /// Definition level from which a cell has an item; a scalar is the only item of its cell.
     pub item: i16,
     /// Definition level at which there is a value.
     pub value: i16,
-    /// Whether its cells are lists.
-    pub list: bool,
 }
 
 /// Finds a column and refuses one that cannot hold what it must.
@@ -74,10 +72,10 @@ fn levels(leaf: usize, path: &[&Type]) -> Layout {
     let adds = |node: &&&Type| repetition(node) != Repetition::REQUIRED;
     let value = path.iter().filter(adds).count() as i16;
     match path.iter().position(|node| repetition(node) == Repetition::REPEATED) {
-        None => Layout { leaf, cell: value, item: value, value, list: false },
+        None => Layout { leaf, cell: value, item: value, value },
         Some(at) => {
             let cell = path[..at].iter().filter(adds).count() as i16;
-            Layout { leaf, cell, item: cell + 1, value, list: true }
+            Layout { leaf, cell, item: cell + 1, value }
         }
     }
 }
@@ -154,16 +152,16 @@ mod tests {
     /// Levels by the format's description of nested types (parquet-format, LogicalTypes.md and Encodings.md).
     #[test]
     fn reference_levels_of_scalars_and_lists() {
-        let at = |cell, item, value, list| Ok(Layout { leaf: 1, cell, item, value, list });
-        assert_eq!(found("required double x;", Kind::Number), at(0, 0, 0, false));
-        assert_eq!(found("optional int64 x;", Kind::Integer), at(1, 1, 1, false));
+        let at = |cell, item, value| Ok(Layout { leaf: 1, cell, item, value });
+        assert_eq!(found("required double x;", Kind::Number), at(0, 0, 0));
+        assert_eq!(found("optional int64 x;", Kind::Integer), at(1, 1, 1));
         let standard = "optional group x (LIST) { repeated group list { optional float element; } }";
-        assert_eq!(found(standard, Kind::Numbers), at(1, 2, 3, true));
+        assert_eq!(found(standard, Kind::Numbers), at(1, 2, 3));
         let strict = "required group x (LIST) { repeated group list { required double element; } }";
-        assert_eq!(found(strict, Kind::Numbers), at(0, 1, 1, true));
+        assert_eq!(found(strict, Kind::Numbers), at(0, 1, 1));
         let two_levels = "optional group x (LIST) { repeated double array; }";
-        assert_eq!(found(two_levels, Kind::Numbers), at(1, 2, 2, true));
-        assert_eq!(found("repeated binary x (STRING);", Kind::Texts), at(0, 1, 1, true));
+        assert_eq!(found(two_levels, Kind::Numbers), at(1, 2, 2));
+        assert_eq!(found("repeated binary x (STRING);", Kind::Texts), at(0, 1, 1));
     }
 
     #[test]

@@ -213,9 +213,8 @@ fn lists<T: DataType, V>(
         if repetition == 0 {
             lists.push((definition >= layout.cell).then(Vec::new));
         }
-        let has_item = if layout.list { definition >= layout.item } else { definition >= layout.value };
         if let Some(Some(list)) = lists.last_mut()
-            && has_item
+            && definition >= layout.item
         {
             let value = if definition == layout.value { values.next() } else { None };
             list.push(value.map(&convert).transpose()?);

@@ -34,9 +34,14 @@ pub fn full(site: &Site) -> Diagnosis {
 
 /// Diagnosis with only some effects in the catalogue, which takes a part of the time.
 pub fn among(site: &Site, effects: &[&str]) -> Diagnosis {
+    diagnose(site, &DiagnoseOptions { exclude: all_but(effects), ..DiagnoseOptions::default() }, &Silent)
+        .unwrap()
+}
+
+/// The catalogue without `effects`.
+pub fn all_but(effects: &[&str]) -> Vec<String> {
     let all = COMMON.iter().map(|e| e.name()).chain(LATENT.iter().map(|e| e.name()));
-    let exclude = all.filter(|name| !effects.contains(name)).map(Into::into).collect();
-    diagnose(site, &DiagnoseOptions { exclude, ..DiagnoseOptions::default() }, &Silent).unwrap()
+    all.filter(|name| !effects.contains(name)).map(Into::into).collect()
 }
 
 /// Names of the effects of a verdict, in their order.

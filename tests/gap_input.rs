@@ -36,7 +36,7 @@ fn property_recordings_of_two_crossings_are_told_apart() {
 
 #[test]
 fn property_a_scan_of_another_crossing_is_noticed() {
-    let mut site = small("reference-1", 9);
+    let mut site = small("reference-1", 5);
     site.scan = field("known-saturation").scan;
     let found = full(&site);
     assert_eq!(found.verdict, Verdict::Unexplained, "{:?}", found.effects);

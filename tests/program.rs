@@ -6,7 +6,7 @@ use std::sync::OnceLock;
 
 /// Path of the program in the profile of the running test. Cargo does not build the programs of a dependency for
 /// its tests, so this does, once.
-fn program() -> &'static PathBuf {
+pub fn program() -> &'static PathBuf {
     static PROGRAM: OnceLock<PathBuf> = OnceLock::new();
     PROGRAM.get_or_init(|| {
         // target/PROFILE/deps/test-HASH

@@ -23,8 +23,9 @@ pub const BAND_HZ: [f64; 2] = [250.0, 300.0];
 const DT_S: f64 = 1.0 / 6000.0;
 /// Step where valleys are only looked for, s: 1.3 % off in frequency at 250 Hz, less than what a model lacks there.
 const SCOUTING_DT_S: f64 = 1.0 / 4000.0;
-/// The same where the transducer clips: that is before the recorder's low-pass, so what lies above the band counts as well.
+/// Both where the transducer clips: that is before the recorder's low-pass, so what lies above the band counts as well.
 const CLIPPED_DT_S: f64 = 0.8e-4;
+const CLIPPED_SCOUTING_DT_S: f64 = 1.6e-4;
 /// Sleepers simulated on either side of the crossing sleeper: 6.6 m. With 13 or 16 the mean window is missed by as much, and
 /// 23 sleepers fill the lanes of the simulation.
 const SLEEPERS: usize = 11;
@@ -64,7 +65,8 @@ impl Simulator {
         let track = Track::of_crossing(&crossing, Mesh::default());
         let model = TrackModel::new(&track, supports(world, &track), SLEEPER_MODES)?;
         let dt_s = match (world.sensor.range_m_s2, detail) {
-            (Some(_), _) => CLIPPED_DT_S,
+            (Some(_), Detail::Full) => CLIPPED_DT_S,
+            (Some(_), Detail::Scouting) => CLIPPED_SCOUTING_DT_S,
             (None, Detail::Full) => DT_S,
             (None, Detail::Scouting) => SCOUTING_DT_S,
         };

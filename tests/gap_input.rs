@@ -52,6 +52,7 @@ fn property_all_clipped_recordings_name_saturation_or_nothing() {
     }
     let found = full(&site);
     assert!(found.effects.iter().all(|e| e.name == "saturation"), "{:?}", found.effects);
+    assert!(says(&found, "nothing else can be told"), "{:?}", found.remarks);
     assert_ne!(found.verdict, Verdict::NoGap);
 }
 

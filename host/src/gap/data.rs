@@ -151,6 +151,12 @@ impl Observed {
     }
 
     /// The whole train, from 8 m before its first axle to 8 m behind its last: recorder time of the first value, values at
+    /// Part of the bogies' windows that is above `m_s2` in magnitude.
+    pub fn share_above(&self, m_s2: f64) -> f64 {
+        let values = || self.windows.iter().flatten();
+        values().filter(|a| a.abs() > m_s2).count() as f64 / values().count().max(1) as f64
+    }
+
     /// [`RATE_HZ`].
     pub fn trace(&self) -> (f64, Vec<f64>) {
         let last = self.bogie_m.last().copied().unwrap_or(0.0);

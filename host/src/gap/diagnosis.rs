@@ -199,7 +199,7 @@ pub fn diagnose(
         }
     }
     // Then one effect can, where it is worse than clipping alone makes it, and nothing is told from what clipping has destroyed.
-    if searched && spoilt(&session) && session.base.fit.lost() {
+    if searched && spoilt(&session) && session.base.fit.lost() && !session.clips_most() {
         session.search_what_mends(progress)?;
     }
     if spoilt(&session) {

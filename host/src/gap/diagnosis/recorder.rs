@@ -62,7 +62,21 @@ pub(super) fn clock_by_operator(frame: &Frame) -> Option<(f64, f64)> {
     (!errors.is_empty()).then(|| (mean, spread.max(OPERATOR_SD) / n.sqrt()))
 }
 
+/// Nearer than this to the range values are counted as clipped, relative: the recorder's low-pass and the band of the comparison round
+/// the tops.
+const AT_RANGE: f64 = 0.9;
+/// Part of the bogies' windows from which on what has been clipped off is most of what there was: the simulated sites that clip most
+/// have 0.05, recordings cut off at a twentieth of their peaks 0.09.
+const MOST_CLIPPED: f64 = 0.07;
+
 impl Session<'_> {
+    /// Whether so much is clipped that no effect could mend the model, whatever it were.
+    pub(super) fn clips_most(&self) -> bool {
+        let Some(range) = self.clips_at_m_s2 else { return false };
+        let shares = self.base.frame.observed.iter().map(|o| o.share_above(AT_RANGE * range));
+        crate::signal::mean(&shares.collect::<Vec<_>>()) > MOST_CLIPPED
+    }
+
     /// Names what is known of the recorder and is in the base model already; what the operator's speeds tell is not searched for.
     pub(super) fn take(&mut self, recorder: &Recorder) {
         if let Some((range, within)) = recorder.range_m_s2 {

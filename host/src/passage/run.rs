@@ -323,7 +323,7 @@ impl<'a> Passage<'a> {
         for (force, wheel) in static_n.iter_mut().zip(wheels) {
             *force = wheel.static_force_n;
         }
-        unit.stepper.begin(&mut unit.state, &static_n[..unit.wheels]);
+        unit.stepper.begin(simd, &mut unit.state, &static_n[..unit.wheels]);
         for i in 0..unit.wheels {
             unit.contacts[i] = self.contact(simd, track, unit, i, travelled_m);
         }
@@ -331,8 +331,14 @@ impl<'a> Passage<'a> {
 
     /// Ends the step of one unit, whose contact forces are known; loads the track.
     #[inline(always)]
-    fn roll_on(&self, track: &mut TrackState, unit: &mut Running, traces: &mut [ContactTrace]) {
-        unit.stepper.finish(&mut unit.state, &unit.force_n[..unit.wheels]);
+    fn roll_on<S: Simd>(
+        &self,
+        simd: S,
+        track: &mut TrackState,
+        unit: &mut Running,
+        traces: &mut [ContactTrace],
+    ) {
+        unit.stepper.finish(simd, &mut unit.state, &unit.force_n[..unit.wheels]);
         for (i, contact) in unit.contacts.iter().enumerate().take(unit.wheels) {
             if let Some(point) = &contact.point {
                 self.stepper.load(track, point, contact.share * unit.force_n[i]);
@@ -527,7 +533,7 @@ impl pulp::WithSimd for AllContacts<'_, '_> {
             self.passage.solve_forces(simd, some);
         }
         for unit in units {
-            self.passage.roll_on(self.track, unit, self.traces);
+            self.passage.roll_on(simd, self.track, unit, self.traces);
         }
     }
 }

@@ -2,10 +2,13 @@
 //! or single wheelsets. The car body is a constant force: what it adds to the wheels is their static force.
 
 use nalgebra::{SMatrix, SVector};
+use pulp::Simd;
 
 use super::error::{SimulationError, in_range};
+use super::model::{CHUNK, Lanes};
 use super::stepper::TimeStep;
 use super::surface::{OutOfRoundness, WheelFlat};
+use super::vectors::{parts, vectors, vectors_mut};
 use crate::recording::Vehicle;
 use crate::vehicle::AxlePattern;
 
@@ -220,11 +223,14 @@ impl Train {
     }
 }
 
-/// A unit factorised for a time step.
+/// A unit factorised for a time step. Degrees of freedom in the lanes of a chunk, of which the last stays empty.
 #[derive(Clone)]
 pub(super) struct UnitStepper {
     unit: VehicleUnit,
-    inverse: Matrix,
+    /// Rates at t + θ dt per rate and per displacement at t, and per contact force, by columns.
+    of_rate: [Lanes; DOF],
+    of_displacement: [Lanes; DOF],
+    of_force: [Lanes; CONTACTS],
     /// Contact displacement rate per contact force, both ways.
     pub compliance: [[f64; CONTACTS]; CONTACTS],
     /// The same without a contact's own.
@@ -235,9 +241,11 @@ pub(super) struct UnitStepper {
 /// Motion of a unit, relative to its static state on level ground.
 #[derive(Clone, Debug)]
 pub(super) struct UnitState {
-    x: Vector,
-    v: Vector,
-    rate: Vector,
+    x: Lanes,
+    v: Lanes,
+    rate: Lanes,
+    /// Displacement at t + θ dt without contact forces.
+    free: Lanes,
 }
 
 impl UnitStepper {
@@ -250,6 +258,7 @@ impl UnitStepper {
             .cholesky()
             .ok_or(SimulationError::Singular { what: "effective", place: "a bogie".into() })?
             .inverse();
+        let of_force = std::array::from_fn(|i| lanes(unit.contacts.get(i).map(|a| inverse * a)));
         let mut compliance = [[0.0; CONTACTS]; CONTACTS];
         for (i, a) in unit.contacts.iter().enumerate() {
             for (j, b) in unit.contacts.iter().enumerate() {
@@ -258,12 +267,23 @@ impl UnitStepper {
         }
         let mut others = compliance;
         (0..CONTACTS).for_each(|i| others[i][i] = 0.0);
-        Ok(Self { unit: unit.clone(), inverse, compliance, others, step })
+        let momentum = inverse * Matrix::from_diagonal(&(unit.mass * shares.mass));
+        let elastic = inverse * -unit.stiffness;
+        let columns = |m: Matrix| std::array::from_fn(|j| lanes(Some(m.column(j).into_owned())));
+        Ok(Self {
+            unit: unit.clone(),
+            of_rate: columns(momentum),
+            of_displacement: columns(elastic),
+            of_force,
+            compliance,
+            others,
+            step,
+        })
     }
 
     /// At rest with the wheelsets at given contact heights (m, positive down) and the frame following them.
     pub fn at_rest(&self, contact_m: &[f64]) -> UnitState {
-        let mut x = Vector::zeros();
+        let mut x = [0.0; CHUNK];
         let a = self.unit.contacts[0][1];
         for (axle, pair) in contact_m.chunks_exact(2).enumerate() {
             x[2 * axle] = 0.5 * (pair[0] + pair[1]);
@@ -275,25 +295,32 @@ impl UnitStepper {
             x[5] = (x[0] - x[2]) / spacing;
             x[6] = 0.5 * (x[1] + x[3]);
         }
-        UnitState { x, v: Vector::zeros(), rate: Vector::zeros() }
+        UnitState { x, v: [0.0; CHUNK], rate: [0.0; CHUNK], free: [0.0; CHUNK] }
     }
 
     /// Begins a step: rates without contact forces, under the static forces of the wheels.
     #[inline(always)]
-    pub fn begin(&self, state: &mut UnitState, static_n: &[f64]) {
-        let mut load =
-            self.unit.mass.component_mul(&state.v) * self.step.shares().mass - self.unit.stiffness * state.x;
-        for (contact, force) in self.unit.contacts.iter().zip(static_n) {
-            load += contact * *force;
+    pub fn begin<S: Simd>(&self, simd: S, state: &mut UnitState, static_n: &[f64]) {
+        let ahead = simd.splat_f64s(self.step.theta * self.step.dt_s);
+        let UnitState { x, v, rate, free } = state;
+        let (rate, free) = (vectors_mut::<S>(rate), vectors_mut::<S>(free));
+        for part in 0..parts::<S>() {
+            // Three sums, so that none waits for the others.
+            let [of_v, of_x, of_force] = [
+                sum_of(simd, part, &self.of_rate, v),
+                sum_of(simd, part, &self.of_displacement, x),
+                sum_of(simd, part, &self.of_force, static_n),
+            ];
+            rate[part] = simd.add_f64s(simd.add_f64s(of_v, of_x), of_force);
+            free[part] = simd.mul_add_f64s(ahead, rate[part], vectors::<S>(x)[part]);
         }
-        state.rate = self.inverse * load;
     }
 
     /// Height of contact `i` at t + θ dt without contact forces, m.
     #[inline(always)]
     pub fn free_m(&self, state: &UnitState, contact: usize) -> f64 {
-        let ahead = self.step.theta * self.step.dt_s;
-        self.unit.contacts[contact].dot(&(state.x + state.rate * ahead))
+        let (jacobian, first) = (&self.unit.contacts[contact], contact / 2 * 2);
+        jacobian[first] * state.free[first] + jacobian[first + 1] * state.free[first + 1]
     }
 
     /// The equations.
@@ -303,19 +330,38 @@ impl UnitStepper {
 
     /// Ends the step under the contact forces (N, upwards on the wheels).
     #[inline(always)]
-    pub fn finish(&self, state: &mut UnitState, force_n: &[f64]) {
-        let mut load = Vector::zeros();
-        for (contact, force) in self.unit.contacts.iter().zip(force_n) {
-            load -= contact * *force;
+    pub fn finish<S: Simd>(&self, simd: S, state: &mut UnitState, force_n: &[f64]) {
+        let (dt, per_theta) = (simd.splat_f64s(self.step.dt_s), simd.splat_f64s(1.0 / self.step.theta));
+        let UnitState { x, v, rate, .. } = state;
+        let [x, v, rate] = [x, v, rate].map(|row| vectors_mut::<S>(row));
+        for part in 0..parts::<S>() {
+            rate[part] = simd.sub_f64s(rate[part], sum_of(simd, part, &self.of_force, force_n));
+            v[part] = simd.mul_add_f64s(per_theta, simd.sub_f64s(rate[part], v[part]), v[part]);
+            x[part] = simd.mul_add_f64s(dt, rate[part], x[part]);
         }
-        state.rate += self.inverse * load;
-        state.v += (state.rate - state.v) / self.step.theta;
-        state.x += state.rate * self.step.dt_s;
     }
+}
+
+/// Degrees of freedom in lanes; none of a contact that is not there.
+fn lanes(of: Option<Vector>) -> Lanes {
+    let of = of.unwrap_or_default();
+    std::array::from_fn(|i| of.get(i).copied().unwrap_or(0.0))
+}
+
+/// Σ column · factor.
+#[inline(always)]
+fn sum_of<S: Simd>(simd: S, part: usize, columns: &[Lanes], factors: &[f64]) -> S::f64s {
+    let mut sum = simd.splat_f64s(0.0);
+    for (column, factor) in columns.iter().zip(factors) {
+        sum = simd.mul_add_f64s(vectors::<S>(column)[part], simd.splat_f64s(*factor), sum);
+    }
+    sum
 }
 
 #[cfg(test)]
 mod tests {
+    use pulp::Scalar;
+
     use super::*;
 
     #[test]
@@ -330,11 +376,11 @@ mod tests {
         let discrete = 2.0 / step.dt_s * (0.5 * omega * step.dt_s).atan();
         let ahead = 0.5 * step.dt_s;
         for n in 1..2000 {
-            stepper.begin(&mut state, &[0.0, 0.0]);
+            stepper.begin(Scalar::new(), &mut state, &[0.0, 0.0]);
             // Force of each spring at the middle of the step: k (free − ahead · (c₀₀ + c₀₁) F).
             let compliance = ahead * (stepper.compliance[0][0] + stepper.compliance[0][1]);
             let force = k * stepper.free_m(&state, 0) / (1.0 + k * compliance);
-            stepper.finish(&mut state, &[force, force]);
+            stepper.finish(Scalar::new(), &mut state, &[force, force]);
             let expected = -1e-3 * (discrete * f64::from(n) * step.dt_s).cos();
             assert!((state.x[0] - expected).abs() < 1e-9, "{n}: {} {expected}", state.x[0]);
         }
@@ -373,10 +419,10 @@ mod tests {
         let mut state = stepper.at_rest(&[0.0; 4]);
         let q = [70e3, 80e3, 75e3, 65e3];
         for _ in 0..100 {
-            stepper.begin(&mut state, &q);
-            stepper.finish(&mut state, &q);
+            stepper.begin(Scalar::new(), &mut state, &q);
+            stepper.finish(Scalar::new(), &mut state, &q);
         }
-        assert!(state.x.amax() < 1e-15);
+        assert!(state.x.iter().all(|x| x.abs() < 1e-15), "{:?}", state.x);
     }
 
     #[test]

@@ -56,7 +56,7 @@ pub const LATE_S: f64 = 200e-6;
 pub const P1: f64 = 0.07;
 /// Ballast under the crossing, relative: what is asked of the method.
 pub const P2: f64 = 0.03;
-/// Speed of a train, relative, 90th percentile.
+/// Speed of a train, relative: 90th percentile of a site, all of a simulated one.
 pub const SITE_SPEED: f64 = 1e-3;
 /// Sleeper displacement, RMS over peak to peak, median of the passages.
 pub const DISPLACEMENT: f64 = 0.01;

@@ -2,7 +2,6 @@
 
 pub mod base;
 pub mod clipping;
-pub mod comb;
 pub mod consequences;
 pub mod consistency;
 pub mod corrected;

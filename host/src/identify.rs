@@ -10,7 +10,7 @@ use crate::inverse::hierarchy::{SiteModel, SitePassage, SitePosterior};
 use crate::inverse::hyper::{FORCE, refine};
 use crate::inverse::{CommonProfile, Estimator, Excitation, InverseError, Prior, ProfileGrids, TrackModel};
 use crate::progress::Progress;
-use crate::reconstruct::{Recording, SpeedSearch, Timing, estimate_speed};
+use crate::reconstruct::{Recording, SPEEDS_M_S, SpeedSearch, Timing, comb, estimate_speed};
 use crate::recording::Site;
 use crate::signal::mean;
 use crate::track::{Mesh, Track};
@@ -204,7 +204,10 @@ fn speeds(
         .zip(&site.passages)
         .map(|(recording, passage)| {
             progress.step();
-            estimate_speed(recording, pattern, SpeedSearch::default())
+            let of_envelope = || comb(recording, pattern, SPEEDS_M_S).map(|(speed, _)| speed);
+            let search =
+                SpeedSearch { about_m_s: passage.speed_m_s.or_else(of_envelope), ..SpeedSearch::default() };
+            estimate_speed(recording, pattern, search)
                 .ok_or(IdentifyError::Silent { passage_id: passage.passage_id })
         })
         .collect()

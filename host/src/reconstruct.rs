@@ -1,8 +1,10 @@
 //! From a recording to what the identification needs: corrected spectrum, speed, axle times, displacement.
 
+mod comb;
 mod displacement;
 mod speed;
 
+pub use comb::{SPEEDS_M_S, comb};
 pub use displacement::{HighPassSearch, complementary_displacement, high_pass_displacement};
 pub use speed::{SpeedSearch, estimate_speed};
 

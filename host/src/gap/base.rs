@@ -4,7 +4,6 @@ use faer::Mat;
 use rayon::prelude::*;
 
 use super::GapError;
-use super::comb::{SPEEDS_M_S, comb};
 use super::data::{Observed, RATE_HZ, window_m};
 use super::effect::Effect;
 use super::fit::{Fit, FitOptions, Frame, Recall, State, fit, settled};
@@ -16,7 +15,7 @@ use super::world::{Bed, Path, SensorModel, Wheels, World};
 use crate::ballast::BallastParameters;
 use crate::ballast::quasi_static::QuasiStatic;
 use crate::passage::Profile;
-use crate::reconstruct::{Recording, SpeedSearch, estimate_speed};
+use crate::reconstruct::{Recording, SPEEDS_M_S, SpeedSearch, comb, estimate_speed};
 use crate::recording::{Crossing, Site};
 use crate::track::{Mesh, Side, Track};
 use crate::vehicle::{AxlePattern, static_wheel_force_n};

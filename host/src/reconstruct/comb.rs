@@ -1,10 +1,10 @@
 //! Speed and time of a train from the envelope of its recording: where the wheels hit the crossing.
 //!
-//! Coherent stacking (`reconstruct::estimate_speed`) is far more accurate, but a transducer that clips shifts its baseline,
-//! and the low frequencies then find another speed. The envelope stands that, and only has to tell neighbouring maxima of
-//! the stack apart.
+//! Coherent stacking ([`estimate_speed`](super::estimate_speed)) is far more accurate, but a transducer that clips shifts its
+//! baseline, and the low frequencies then find another speed, as they may for a short train. The envelope stands that, and only
+//! has to tell neighbouring maxima of the stack apart.
 
-use crate::reconstruct::Recording;
+use super::Recording;
 use crate::vehicle::AxlePattern;
 
 /// Rate of the envelope, Hz.

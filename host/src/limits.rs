@@ -7,6 +7,7 @@
 //! | `unknown-train` | a train type that is not the site's: masses and axle pattern are not known |
 //! | `freight` | freight trains: wheelset mass and load are not known, the method is not made for them |
 //! | `unlike-load` | axle load more than 10 % off the site's vehicle: forces follow in proportion |
+//! | `unlike-speed` | the operator states a speed more than 5 % off the one found: one of them, or the unit, is wrong |
 //! | `large-deflection` | beyond 3 mm ballast is not linear: voids, which no linear track explains |
 //!
 //! A flag changes nothing else; it says how far to trust.
@@ -21,6 +22,8 @@ const FREIGHT: [&str; 5] = ["freight", "goods", "cargo", "güter", "gods"];
 const FREIGHT_AXLE_KG: f64 = 20_500.0;
 /// Relative difference to the site's axle load.
 const UNLIKE_LOAD: f64 = 0.1;
+/// Relative difference to the stated speed: operators are within 1 %, recorders' clocks within 4 %.
+const UNLIKE_SPEED: f64 = 0.05;
 /// Sleeper displacement, metres: the paper's linear panels reach 1 mm, its voided one 6 mm.
 const LARGE_DEFLECTION_M: f64 = 3e-3;
 
@@ -29,6 +32,8 @@ const LARGE_DEFLECTION_M: f64 = 3e-3;
 pub struct PassageLimits<'a> {
     /// m/s.
     pub speed_m_s: f64,
+    /// As the operator states it, m/s.
+    pub stated_m_s: Option<f64>,
     /// Largest |acceleration| of the raw recording, m/s².
     pub largest_m_s2: f64,
     /// Range of the sensor, m/s².
@@ -51,6 +56,8 @@ impl PassageLimits<'_> {
         let train = self.train_type.to_lowercase();
         let freight = FREIGHT.iter().any(|w| train.contains(w)) || self.axle_load_kg > FREIGHT_AXLE_KG;
         let unlike = (self.axle_load_kg / self.vehicle_axle_load_kg - 1.0).abs() > UNLIKE_LOAD;
+        let unlike_speed =
+            self.stated_m_s.is_some_and(|stated| (self.speed_m_s / stated - 1.0).abs() > UNLIKE_SPEED);
         let deepest = self.displacement_m.iter().copied().fold(0.0, f64::max);
         [
             ("low-speed", self.speed_m_s < LOW_SPEED_M_S),
@@ -58,6 +65,7 @@ impl PassageLimits<'_> {
             ("unknown-train", self.train_type != self.vehicle_type),
             ("freight", freight),
             ("unlike-load", unlike),
+            ("unlike-speed", unlike_speed),
             ("large-deflection", deepest > LARGE_DEFLECTION_M),
         ]
         .into_iter()
@@ -74,6 +82,7 @@ mod tests {
     fn sound() -> PassageLimits<'static> {
         PassageLimits {
             speed_m_s: 44.0,
+            stated_m_s: Some(43.6),
             largest_m_s2: 120.0,
             range_m_s2: 490.5,
             train_type: "X2",
@@ -88,19 +97,23 @@ mod tests {
     fn paper_limits_are_flagged_one_by_one() {
         assert!(sound().flags().is_empty());
         let one = |limits: PassageLimits, flag: &str| assert_eq!(limits.flags(), [flag], "{limits:?}");
-        one(PassageLimits { speed_m_s: 11.0, ..sound() }, "low-speed");
+        one(PassageLimits { speed_m_s: 11.0, stated_m_s: None, ..sound() }, "low-speed");
         one(PassageLimits { largest_m_s2: 490.4, ..sound() }, "clipped");
         one(PassageLimits { train_type: "X2000", ..sound() }, "unknown-train");
         one(PassageLimits { train_type: "Goods", vehicle_type: "Goods", ..sound() }, "freight");
         let heavy = PassageLimits { axle_load_kg: 22_500.0, vehicle_axle_load_kg: 22_500.0, ..sound() };
         one(heavy, "freight");
         one(PassageLimits { axle_load_kg: 18_000.0, ..sound() }, "unlike-load");
+        one(PassageLimits { stated_m_s: Some(158.4), ..sound() }, "unlike-speed");
         one(PassageLimits { displacement_m: &[6e-3], ..sound() }, "large-deflection");
     }
 
     #[test]
     fn property_several_limits_keep_their_order() {
         let bad = PassageLimits { speed_m_s: 5.0, train_type: "freight", displacement_m: &[4e-3], ..sound() };
-        assert_eq!(bad.flags(), ["low-speed", "unknown-train", "freight", "large-deflection"]);
+        assert_eq!(
+            bad.flags(),
+            ["low-speed", "unknown-train", "freight", "unlike-speed", "large-deflection"]
+        );
     }
 }

@@ -187,6 +187,7 @@ fn flags(identified: &IdentifiedSite, index: usize, displacement_m: &[f64]) -> V
     let (site, passage) = (identified.site, &identified.site.passages[index]);
     PassageLimits {
         speed_m_s: identified.timings[index].speed_m_s,
+        stated_m_s: passage.speed_m_s,
         largest_m_s2: identified.recordings[index].max_m_s2,
         range_m_s2: site.crossing.sensor.range_m_s2,
         train_type: &passage.train_type,

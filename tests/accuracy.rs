@@ -54,6 +54,22 @@ fn told(what: &str, values: &[f64]) -> (f64, f64) {
     (median, p90)
 }
 
+/// A transducer that clips at 9 g and not at the 50 g of its description went unnoticed, and so did one that clips before a low-pass
+/// that rounds the tops.
+#[test]
+fn regress_recordings_that_clip_below_the_stated_range_are_flagged() {
+    let clipped = |analysis: &Analysis| {
+        let wheels = analysis.passages.iter().flat_map(|p| &p.wheelsets);
+        let flags: Vec<bool> = wheels.map(|w| w.flags.iter().any(|f| f == "clipped")).collect();
+        (flags.iter().filter(|c| **c).count(), flags.len())
+    };
+    let mut site = read_site(&field("known-saturation")).unwrap();
+    site.passages.truncate(6);
+    let analysis = pipeline::evaluate(&identify(&site, &Silent).unwrap(), &Silent).unwrap();
+    assert_eq!(clipped(&analysis), (72, 72));
+    assert_eq!(clipped(&run().analysis).0, 0);
+}
+
 /// All three sites, over stiff and soft pads and with wheels that lose contact, against what is asked of the method.
 #[test]
 fn reference_every_site_is_identified_within_its_intervals() {

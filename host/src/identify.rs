@@ -10,7 +10,7 @@ use crate::inverse::hierarchy::{SiteModel, SitePassage, SitePosterior};
 use crate::inverse::hyper::{FORCE, refine};
 use crate::inverse::{CommonProfile, Estimator, Excitation, InverseError, Prior, ProfileGrids, TrackModel};
 use crate::progress::Progress;
-use crate::reconstruct::{Recording, SPEEDS_M_S, SpeedSearch, Timing, comb, estimate_speed};
+use crate::reconstruct::{Recording, SPEEDS_M_S, SpeedSearch, Timing, comb, estimate_speed, flat_top_m_s2};
 use crate::recording::Site;
 use crate::signal::mean;
 use crate::track::{Mesh, Track};
@@ -45,6 +45,8 @@ pub struct IdentifiedSite<'s> {
     pub direction: f64,
     /// Corrected recordings, in the order of the site's passages.
     pub recordings: Vec<Recording>,
+    /// Where the transducer clips, by where values pile up, m/s².
+    pub clips_at_m_s2: Option<f64>,
     /// Speeds and axle times.
     pub timings: Vec<Timing>,
     /// Static wheel force per passage, newtons.
@@ -150,6 +152,7 @@ pub fn identify<'s>(site: &'s Site, progress: &dyn Progress) -> Result<Identifie
         pattern,
         direction,
         recordings,
+        clips_at_m_s2: flat_top_m_s2(site).map(|(range, _)| range),
         greens,
         nearby_greens,
     })

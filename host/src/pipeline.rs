@@ -190,6 +190,7 @@ fn flags(identified: &IdentifiedSite, index: usize, displacement_m: &[f64]) -> V
         stated_m_s: passage.speed_m_s,
         largest_m_s2: identified.recordings[index].max_m_s2,
         range_m_s2: site.crossing.sensor.range_m_s2,
+        clips_at_m_s2: identified.clips_at_m_s2,
         train_type: &passage.train_type,
         vehicle_type: &site.crossing.vehicle.kind,
         axle_load_kg: passage.axle_load_kg,

@@ -2,10 +2,12 @@
 
 mod comb;
 mod displacement;
+mod flat_top;
 mod speed;
 
 pub use comb::{SPEEDS_M_S, comb};
 pub use displacement::{HighPassSearch, complementary_displacement, high_pass_displacement};
+pub use flat_top::flat_top_m_s2;
 pub use speed::{SpeedSearch, estimate_speed};
 
 use faer::c64;

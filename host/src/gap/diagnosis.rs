@@ -15,7 +15,6 @@ use std::time::Instant;
 use super::GapError;
 use super::base::{Base, PathPrior, base, nominal_world};
 use super::effect::{Effect, Hints, Stage};
-use super::effects::saturation::flat_top_m_s2;
 use super::effects::{COMMON, LATENT};
 use super::fit::{Fit, State};
 use super::hammer::Hammer;
@@ -29,6 +28,7 @@ use super::verdict::Verdict;
 use super::world::SensorModel;
 use crate::ballast::BallastParameters;
 use crate::progress::Progress;
+use crate::reconstruct::flat_top_m_s2;
 use crate::recording::Site;
 use recorder::Recorder;
 

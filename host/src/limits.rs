@@ -12,6 +12,8 @@
 //!
 //! A flag changes nothing else; it says how far to trust.
 
+use crate::reconstruct::ABOUT;
+
 /// Speed below which the method is weak, m/s: 40 km/h.
 const LOW_SPEED_M_S: f64 = 40.0 / 3.6;
 /// Share of the sensor's range that counts as saturated: a transducer clips before the recorder's low-pass, which rounds short tops
@@ -25,8 +27,6 @@ const FREIGHT: [&str; 5] = ["freight", "goods", "cargo", "güter", "gods"];
 const FREIGHT_AXLE_KG: f64 = 20_500.0;
 /// Relative difference to the site's axle load.
 const UNLIKE_LOAD: f64 = 0.1;
-/// Relative difference to the stated speed: operators are within 1 %, recorders' clocks within 4 %.
-const UNLIKE_SPEED: f64 = 0.05;
 /// Sleeper displacement, metres: the paper's linear panels reach 1 mm, its voided one 6 mm.
 const LARGE_DEFLECTION_M: f64 = 3e-3;
 
@@ -62,7 +62,7 @@ impl PassageLimits<'_> {
         let freight = FREIGHT.iter().any(|w| train.contains(w)) || self.axle_load_kg > FREIGHT_AXLE_KG;
         let unlike = (self.axle_load_kg / self.vehicle_axle_load_kg - 1.0).abs() > UNLIKE_LOAD;
         let unlike_speed =
-            self.stated_m_s.is_some_and(|stated| (self.speed_m_s / stated - 1.0).abs() > UNLIKE_SPEED);
+            self.stated_m_s.is_some_and(|stated| (self.speed_m_s / stated - 1.0).abs() > ABOUT);
         let deepest = self.displacement_m.iter().copied().fold(0.0, f64::max);
         [
             ("low-speed", self.speed_m_s < LOW_SPEED_M_S),

@@ -8,7 +8,7 @@ mod speed;
 pub use comb::{SPEEDS_M_S, comb};
 pub use displacement::{HighPassSearch, complementary_displacement, high_pass_displacement};
 pub use flat_top::flat_top_m_s2;
-pub use speed::{SpeedSearch, estimate_speed};
+pub use speed::{ABOUT, SpeedSearch, estimate_speed};
 
 use faer::c64;
 

@@ -15,7 +15,7 @@ use super::world::{Bed, Path, SensorModel, Wheels, World};
 use crate::ballast::BallastParameters;
 use crate::ballast::quasi_static::QuasiStatic;
 use crate::passage::Profile;
-use crate::reconstruct::{Recording, SPEEDS_M_S, SpeedSearch, comb, estimate_speed};
+use crate::reconstruct::{ABOUT, Recording, SPEEDS_M_S, SpeedSearch, comb, estimate_speed};
 use crate::recording::{Crossing, Site};
 use crate::track::{Mesh, Side, Track};
 use crate::vehicle::{AxlePattern, static_wheel_force_n};
@@ -54,11 +54,9 @@ pub struct Base {
     pub window_m: (f64, f64),
 }
 
-/// The operator's speed is right within 1 %, the recorder's clock within 4 %.
-const OPERATOR: f64 = 0.05;
 /// The speed of the envelope is right within half of this, relative (field recordings); the next maximum of the coherent stack is
 /// farther away.
-const ABOUT: f64 = 0.008;
+const BY_ENVELOPE: f64 = 0.008;
 /// Band of the first scan for a speed, Hz: the envelope has told neighbouring maxima apart, and steps of the baseline have moved speeds
 /// by two percent from 3 Hz on.
 const STACKED_HZ: [f64; 2] = [20.0, 60.0];
@@ -85,10 +83,10 @@ pub fn observe(site: &Site) -> Result<Vec<Observed>, GapError> {
         .enumerate()
         .filter_map(|(i, p)| {
             let recording = Recording::new(p, &crossing.sensor);
-            let likely = p.speed_m_s.map_or(SPEEDS_M_S, |v| [(1.0 - OPERATOR) * v, (1.0 + OPERATOR) * v]);
+            let likely = p.speed_m_s.map_or(SPEEDS_M_S, |v| [(1.0 - ABOUT) * v, (1.0 + ABOUT) * v]);
             let (about, hit_s) = comb(&recording, &pattern, likely)?;
             let search = SpeedSearch {
-                range_m_s: [(1.0 - ABOUT) * about, (1.0 + ABOUT) * about],
+                range_m_s: [(1.0 - BY_ENVELOPE) * about, (1.0 + BY_ENVELOPE) * about],
                 first_band_hz: STACKED_HZ,
                 ..SpeedSearch::default()
             };

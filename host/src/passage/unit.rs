@@ -258,18 +258,19 @@ impl UnitStepper {
             .cholesky()
             .ok_or(SimulationError::Singular { what: "effective", place: "a bogie".into() })?
             .inverse();
-        let of_force = std::array::from_fn(|i| lanes(unit.contacts.get(i).map(|a| inverse * a)));
-        let mut compliance = [[0.0; CONTACTS]; CONTACTS];
-        for (i, a) in unit.contacts.iter().enumerate() {
-            for (j, b) in unit.contacts.iter().enumerate() {
-                compliance[i][j] = a.dot(&(inverse * b));
+        let (mut of_force, mut compliance) = ([[0.0; CHUNK]; CONTACTS], [[0.0; CONTACTS]; CONTACTS]);
+        for (j, b) in unit.contacts.iter().enumerate() {
+            let moved = inverse * b;
+            of_force[j] = lanes(&moved);
+            for (i, a) in unit.contacts.iter().enumerate() {
+                compliance[i][j] = a.dot(&moved);
             }
         }
         let mut others = compliance;
         (0..CONTACTS).for_each(|i| others[i][i] = 0.0);
         let momentum = inverse * Matrix::from_diagonal(&(unit.mass * shares.mass));
         let elastic = inverse * -unit.stiffness;
-        let columns = |m: Matrix| std::array::from_fn(|j| lanes(Some(m.column(j).into_owned())));
+        let columns = |m: Matrix| std::array::from_fn(|j| lanes(&m.column(j).into_owned()));
         Ok(Self {
             unit: unit.clone(),
             of_rate: columns(momentum),
@@ -342,9 +343,8 @@ impl UnitStepper {
     }
 }
 
-/// Degrees of freedom in lanes; none of a contact that is not there.
-fn lanes(of: Option<Vector>) -> Lanes {
-    let of = of.unwrap_or_default();
+/// Degrees of freedom in lanes.
+fn lanes(of: &Vector) -> Lanes {
     std::array::from_fn(|i| of.get(i).copied().unwrap_or(0.0))
 }
 

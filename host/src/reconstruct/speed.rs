@@ -34,7 +34,7 @@ impl Default for SpeedSearch {
 const REFINEMENTS: [(f64, [f64; 2]); 2] = [(3e-3, [10.0, 120.0]), (1e-3, [20.0, 200.0])];
 const POINTS: usize = 41;
 /// How far off a speed is that something else says, relative: operators are within 1 %, recorders' clocks within 4 %.
-const ABOUT: f64 = 0.05;
+pub const ABOUT: f64 = 0.05;
 /// Part of the highest energy that is enough there. Four axles stack by chance, at 8 m/s and frequencies that turn often from the
 /// first to the last, to 1.1 of what they stack to at their own speed; at speeds stated wrongly four axles reach 0.79, twelve 0.65.
 const ENOUGH: f64 = 0.85;

@@ -29,6 +29,8 @@ pub const FLOAT32_COLUMN: f64 = 6e-8;
 pub const PEAK_MEDIAN: f64 = 0.025;
 /// The same, 90th percentile.
 pub const PEAK_P90: f64 = 0.05;
+/// Force peak of one recording at two sampling rates, relative: a tenth of the peaks' error, for noise above the band that is no more.
+pub const OTHER_RATE: f64 = 1e-3;
 /// Position of the peak, median, m: a shorter distance than a grinder works on.
 pub const PEAK_POSITION_M: f64 = 0.03;
 /// Mean irregularity against the laser scan, RMS over peak to peak: what is asked of the method.

@@ -44,17 +44,17 @@ pub enum GapError {
         /// Which one.
         what: &'static str,
     },
-    /// Recordings that cannot be brought to the rate of the comparison.
+    /// Recordings sampled too slowly for the band of the comparison.
     #[error(
-        "passage {passage_id}: sampling rate {rate_hz} Hz; the diagnosis needs a multiple of {step_hz} Hz, at least twice that; record at 4000 Hz"
+        "passage {passage_id}: sampling rate {rate_hz} Hz; the diagnosis needs {least_hz} Hz at least; record at 4000 Hz"
     )]
     SampleRate {
         /// Which recording.
         passage_id: i32,
         /// As stated, Hz.
         rate_hz: f64,
-        /// Rate of the comparison, Hz.
-        step_hz: f64,
+        /// Least rate, Hz.
+        least_hz: f64,
     },
     /// Hammer hits beyond the rails.
     #[error("hammer hits at x = {x_m} m; the rails reach from {} to {} m", ends_m[0], ends_m[1])]

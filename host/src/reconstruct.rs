@@ -20,6 +20,10 @@ const USED_BAND_HZ: [f64; 2] = [500.0, 700.0];
 /// Samples are taken as quiet (no train near) in this long a stretch at both ends of a recording, seconds; recordings
 /// begin and end at least 0.3 s before and after the train.
 const QUIET_S: f64 = 0.25;
+/// Windows are cut at multiples of this rate, Hz.
+const WINDOW_STEP_HZ: f64 = 100.0;
+/// How well a window's time base is met, relative: 1 µs in a recording of 10 s.
+const TIME_BASE: f64 = 1e-7;
 
 /// A recording with bias removed and the recorder's anti-alias filter undone, kept as its spectrum.
 #[derive(Clone, Debug)]
@@ -47,7 +51,7 @@ impl Recording {
         let quiet = ((QUIET_S * passage.sample_rate_hz) as usize).min(raw.len() / 2);
         let ends: Vec<f64> = raw[..quiet].iter().chain(&raw[raw.len() - quiet..]).copied().collect();
         let bias = mean(&ends);
-        let padded = padded_len(raw.len());
+        let padded = padded_len(raw.len(), passage.sample_rate_hz);
         let mut signal: Vec<f64> = raw.iter().map(|a| a - bias).collect();
         signal.resize(padded, 0.0);
         let mut spectrum = rfft(&signal);
@@ -98,8 +102,8 @@ impl Recording {
         signal
     }
 
-    /// Band-limited acceleration at `window_rate_hz`, `len` samples from `start_s` on (any real time; zero outside the
-    /// recording). Resampling is exact: the time shift is a phase in the spectrum.
+    /// Band-limited acceleration at `window_rate_hz`, a multiple of 100 Hz, `len` samples from `start_s` on (any real time;
+    /// zero outside the recording). Resampling is exact: the time shift is a phase in the spectrum.
     pub fn window(&self, start_s: f64, window_rate_hz: f64, len: usize, band_hz: [f64; 2]) -> Vec<f64> {
         self.resampled(start_s, window_rate_hz, len, |f| c64::new(taper(f, band_hz[0], band_hz[1]), 0.0))
     }
@@ -111,15 +115,18 @@ impl Recording {
         len: usize,
         gain: impl Fn(f64) -> c64,
     ) -> Vec<f64> {
-        let step = (self.rate_hz / window_rate_hz).round().max(1.0) as usize;
-        let n = self.padded / step;
+        let n = (self.padded as f64 * window_rate_hz / self.rate_hz).round() as usize;
         let first = (start_s * window_rate_hz).floor();
         let shift_s = start_s - first / window_rate_hz;
-        let spectrum: Vec<c64> = (0..=n / 2)
-            .map(|k| {
+        let spectrum: Vec<c64> = self
+            .spectrum
+            .iter()
+            .take(n / 2 + 1)
+            .enumerate()
+            .map(|(k, value)| {
                 let f = self.frequency_hz(k);
                 let phase = std::f64::consts::TAU * f * shift_s;
-                self.spectrum[k] * c64::new(phase.cos(), phase.sin()) * gain(f)
+                value * c64::new(phase.cos(), phase.sin()) * gain(f)
             })
             .collect();
         let signal = irfft(&spectrum, n);
@@ -132,10 +139,24 @@ impl Recording {
     }
 }
 
-/// Transform length: at least a quarter longer than the recording, divisible by 40 so that the decimated grids of
-/// 1 kHz and 400 Hz fit, and otherwise a power of two for speed.
-fn padded_len(len: usize) -> usize {
-    40 * (len + len / 4).div_ceil(40).next_power_of_two()
+/// Transform length: at least a quarter longer than the recording, lasting a whole number of samples at every rate that windows
+/// are cut at (a decimation by 12.5 is none by 12 or 13), and otherwise a power of two for speed.
+fn padded_len(len: usize, rate_hz: f64) -> usize {
+    let unit = numerator(rate_hz / WINDOW_STEP_HZ);
+    unit * (len + len / 4).div_ceil(unit).next_power_of_two().max(2)
+}
+
+/// Numerator of the simplest fraction that is `ratio` but for [`TIME_BASE`]: convergents of its continued fraction.
+fn numerator(ratio: f64) -> usize {
+    let (mut last, mut now) = ((1.0, 0.0), (ratio.floor(), 1.0));
+    let mut rest = ratio.fract();
+    while (now.0 - ratio * now.1).abs() > TIME_BASE * ratio * now.1 {
+        let inverse = rest.recip();
+        let digit = inverse.floor();
+        rest = inverse - digit;
+        (last, now) = (now, (digit * now.0 + last.0, digit * now.1 + last.1));
+    }
+    now.0.clamp(1.0, 1e6) as usize
 }
 
 /// Speed and axle times of one passage.
@@ -151,5 +172,78 @@ impl Timing {
     /// Time at which an axle `offset_m` behind the first is at x = 0.
     pub fn axle_s(&self, offset_m: f64) -> f64 {
         self.first_axle_s + offset_m / self.speed_m_s
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::f64::consts::TAU;
+
+    use super::*;
+
+    /// A burst of 40 Hz at 0.8 s, as a recorder without filter takes it.
+    fn burst(t_s: f64) -> f64 {
+        50.0 * (-((t_s - 0.8) / 0.03).powi(2)).exp() * (TAU * 40.0 * (t_s - 0.8)).sin()
+    }
+
+    fn recorded(sample_rate_hz: f64) -> Recording {
+        let sensor = Sensor {
+            sleeper_index: 30,
+            y_m: 1.2,
+            sample_rate_hz,
+            range_m_s2: 500.0,
+            bits: 16,
+            antialias_order: 0,
+            antialias_hz: 0.4 * sample_rate_hz,
+            noise_rms_m_s2: 0.0,
+            bias_max_m_s2: 0.0,
+        };
+        let sample = |k: usize| burst(k as f64 / sample_rate_hz) as f32;
+        let passage = Passage {
+            passage_id: 1,
+            train_type: String::new(),
+            axle_load_kg: 16e3,
+            speed_m_s: None,
+            temperature_c: 20.0,
+            sample_rate_hz,
+            acceleration_m_s2: (0..(1.7 * sample_rate_hz) as usize).map(sample).collect(),
+        };
+        Recording::new(&passage, &sensor)
+    }
+
+    /// At 2 and 10 kHz, windows of 800 Hz were cut at 667 and 769 Hz, and forces were 40 to 60 % wrong without a word.
+    #[test]
+    fn regress_windows_keep_time_at_any_sampling_rate() {
+        for rate_hz in
+            [801.5, 1000.0, 1652.9, 2000.0, 2048.0, 3999.7, 4000.0, 5000.0, 10e3, 12.8e3, 44.1e3, 51.2e3]
+        {
+            let recording = recorded(rate_hz);
+            for window_hz in [200.0, 400.0, 800.0, 1000.0] {
+                let n = window_hz as usize;
+                let window = recording.window(
+                    0.3012,
+                    window_hz,
+                    n,
+                    [260.0, 330.0].map(|f: f64| f.min(0.45 * window_hz)),
+                );
+                let worst = (0..n)
+                    .map(|k| (window[k] - burst(0.3012 + k as f64 / window_hz)).abs())
+                    .fold(0.0, f64::max);
+                assert!(worst < 0.01, "{rate_hz} Hz to {window_hz} Hz: {worst} m/s2");
+            }
+        }
+    }
+
+    #[test]
+    fn analytic_transforms_hold_whole_samples_of_windows() {
+        assert_eq!(padded_len(10_000, 4000.0), 40 * 512, "as ever at the rate of the node");
+        for (rate_hz, unit) in
+            [(2000.0, 20), (10e3, 100), (12.8e3, 128), (2048.0, 512), (44.1e3, 441), (3999.7, 13_319)]
+        {
+            assert_eq!(numerator(rate_hz / WINDOW_STEP_HZ), unit, "{rate_hz} Hz");
+        }
+        for rate_hz in [f64::NAN, 0.0, -1.0, f64::INFINITY, 1e-300] {
+            assert!((2..=2_000_000).contains(&padded_len(1000, rate_hz)), "{rate_hz} Hz");
+        }
     }
 }

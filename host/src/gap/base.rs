@@ -4,7 +4,7 @@ use faer::Mat;
 use rayon::prelude::*;
 
 use super::GapError;
-use super::data::{Observed, RATE_HZ, window_m};
+use super::data::{Observed, window_m};
 use super::effect::Effect;
 use super::fit::{Fit, FitOptions, Frame, Recall, State, fit, settled};
 use super::forward::Detail;
@@ -16,7 +16,7 @@ use crate::ballast::BallastParameters;
 use crate::ballast::quasi_static::QuasiStatic;
 use crate::passage::Profile;
 use crate::reconstruct::{ABOUT, Recording, SPEEDS_M_S, SpeedSearch, comb, estimate_speed};
-use crate::recording::{Crossing, Site};
+use crate::recording::{Crossing, LEAST_RATE_HZ, Site};
 use crate::track::{Mesh, Side, Track};
 use crate::vehicle::{AxlePattern, static_wheel_force_n};
 
@@ -129,13 +129,12 @@ pub fn observe(site: &Site) -> Result<Vec<Observed>, GapError> {
         .collect())
 }
 
-/// Below twice the rate of the windows, the recorder's filter cuts into the band of the comparison.
+/// A site that was not read from files may be of any rate.
 fn check_rates(site: &Site) -> Result<(), GapError> {
-    let least_hz = 2.0 * RATE_HZ;
-    match site.passages.iter().find(|p| !(p.sample_rate_hz >= least_hz)) {
+    match site.passages.iter().find(|p| !(LEAST_RATE_HZ..).contains(&p.sample_rate_hz)) {
         Some(p) => {
             let (passage_id, rate_hz) = (p.passage_id, p.sample_rate_hz);
-            Err(GapError::SampleRate { passage_id, rate_hz, least_hz })
+            Err(GapError::SampleRate { passage_id, rate_hz, least_hz: LEAST_RATE_HZ })
         }
         None => Ok(()),
     }

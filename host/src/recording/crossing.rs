@@ -174,6 +174,10 @@ impl Vehicle {
     }
 }
 
+/// Least sampling rate, Hz: at 1600 Hz behind a low-pass of order 4 at 640 Hz, peaks of simulated recordings are as good as at
+/// 4000 Hz but for a factor of two; at 1000 Hz behind 400 Hz, one in ten is 42 % wrong, as impacts fold into the band of the forces.
+pub const LEAST_RATE_HZ: f64 = 1600.0;
+
 /// `[sensor]`, on the crossing sleeper.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[allow(missing_docs)]

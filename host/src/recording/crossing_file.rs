@@ -5,7 +5,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use super::files::{read_text, write_atomic};
-use super::{Crossing, RecordingError};
+use super::{Crossing, LEAST_RATE_HZ, RecordingError};
 
 /// Version of the format that this program reads and writes.
 const FORMAT_VERSION: i64 = 1;
@@ -201,8 +201,14 @@ fn bogie(c: &Crossing) -> Vec<Limit> {
 fn sensor(c: &Crossing) -> Vec<Limit> {
     let s = &c.sensor;
     vec![
-        // Forces are found up to 250 Hz: sample at 2.56 times that at the very least.
-        ("sensor.sample_rate_hz", s.sample_rate_hz, 640.0, 200e3, "Hz", "is it in kHz?"),
+        (
+            "sensor.sample_rate_hz",
+            s.sample_rate_hz,
+            LEAST_RATE_HZ,
+            200e3,
+            "Hz",
+            "is it in kHz? slower recorders fold impacts into the band of the forces",
+        ),
         ("sensor.y_m", s.y_m, 0.0, 8.0, "m", "on the sleeper, y = 0 at its end beyond the stock rail"),
         ("sensor.range_m_s2", s.range_m_s2, 20.0, 50e3, "m/s2", "is it in g?"),
         ("sensor.bits", f64::from(s.bits), 8.0, 32.0, "bits", ""),

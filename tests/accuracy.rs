@@ -8,6 +8,7 @@ use std::sync::{Arc, OnceLock};
 
 use cpcm::analysis::{Analysis, Interval};
 use cpcm::identify::identify;
+use cpcm::kernel::Package;
 use cpcm::node_sim::{QUIET_S, SharedNode, codes_of_site, with_kernel};
 use cpcm::pipeline::{self, AnalyseOptions};
 use cpcm::progress::Silent;
@@ -23,7 +24,7 @@ struct Run {
     site: Site,
     truth: Truth,
     analysis: Analysis,
-    package: Vec<u8>,
+    package: Package,
     records: Vec<Record>,
 }
 
@@ -35,7 +36,7 @@ fn run() -> &'static Run {
         let identified = identify(&site, &Silent).unwrap();
         let analysis = pipeline::evaluate(&identified, &Silent).unwrap();
         let package = pipeline::package(&identified, &Silent).unwrap();
-        let records = cpcm::node_sim::records(&site, &package, &Silent).unwrap();
+        let records = cpcm::node_sim::records(&site, &package.bytes, &Silent).unwrap();
         let truth = read_truth(&field("reference-1")).unwrap();
         drop(identified);
         Run { site, truth, analysis, package, records }
@@ -52,6 +53,14 @@ fn told(what: &str, values: &[f64]) -> (f64, f64) {
     let (median, p90) = (quantile(values, 0.5), quantile(values, 0.9));
     println!("{what}: median {median:.3e}, 90th percentile {p90:.3e}, {} values", values.len());
     (median, p90)
+}
+
+#[test]
+fn property_the_package_is_for_every_recorded_train() {
+    let Run { package, analysis, .. } = run();
+    let [slowest, fastest] = package.speeds_m_s;
+    assert!(package.outside_m_s.is_empty(), "{:?}", package.outside_m_s);
+    assert!(analysis.passages.iter().all(|p| (slowest..=fastest).contains(&p.speed_m_s)));
 }
 
 /// The first six passages of a site, as a recorder at another rate takes them.
@@ -215,7 +224,7 @@ fn reference_node_finds_axles_where_the_host_does() {
 /// What every recording begins with, before the train, over and over: nothing is recorded of it.
 #[test]
 fn reference_node_records_nothing_of_quiet_track() {
-    let node: SharedNode = with_kernel(&run().package).unwrap();
+    let node: SharedNode = with_kernel(&run().package.bytes).unwrap();
     let quiet: Vec<SensorCode> =
         run().site.passages.iter().flat_map(|p| quiet(&p.acceleration_m_s2)).collect();
     println!("{} s of quiet track", quiet.len() / RAW_RATE_HZ as usize);

@@ -1,14 +1,21 @@
 //! The node's kernel package: the estimator at a set of speeds, reduced to what a node can apply.
 
+mod coverage;
+
+use std::ops::Range;
+
 use cpcm_shared::decimate;
 use cpcm_shared::operator::block_crc;
 use cpcm_shared::package::{
-    Bin, Block, FORMAT, Group, Header, MAX_HEADER_LEN, Operator, Provenance, Sensor, Train,
+    Bin, Block, FORMAT, Group, Header, MAX_BINS, MAX_GROUP_AXLES, MAX_HEADER_LEN, MAX_RANK, MAX_WINDOW,
+    Operator, PREFIX_LEN, Provenance, Sensor, Train,
 };
 use cpcm_shared::sample::{FULL_SCALE_CODE, M_S2_PER_CODE, RAW_RATE_HZ};
+use cpcm_shared::storage::Map;
 use faer::Mat;
 use rayon::prelude::*;
 
+use self::coverage::{Demand, Room, choose, covers};
 use crate::forces::LOW_PASS_HZ;
 use crate::greens::{Chain, GreensFunctions, GreensSampling, Quantity};
 use crate::identify::IdentifiedSite;
@@ -40,6 +47,19 @@ pub enum KernelError {
         /// Node's rate, Hz.
         expected: f64,
     },
+    /// Not one speed bin is small enough for the node.
+    #[error(
+        "the node has no room for the kernel of any recorded train ({:.1} to {:.1} m/s): at {:.1} m/s it is {} x {} (rank x \
+         samples) and {} bytes, the node takes {} x {} and {} bytes; faster trains need less",
+        recorded_m_s[0], recorded_m_s[1], smallest.speed_m_s, smallest.rank, smallest.window, smallest.bytes,
+        MAX_RANK, MAX_WINDOW, ROOM.bytes
+    )]
+    TooLarge {
+        /// Slowest and fastest recorded train, m/s.
+        recorded_m_s: [f64; 2],
+        /// The fastest bin that is not above all of them.
+        smallest: BinSize,
+    },
     /// The header is too long or inconsistent.
     #[error("the package header is refused by the node's own check: {0}")]
     Header(String),
@@ -60,17 +80,51 @@ const TRUNCATION_N: f64 = 150.0;
 /// 90 % of a normal distribution lie within this many standard deviations.
 pub const HALF_WIDTH_90: f64 = 1.6449;
 
-/// Encodes the package of a calibrated site.
-pub fn package(site: &IdentifiedSite, done: &(dyn Fn() + Sync)) -> Result<Vec<u8>, KernelError> {
+/// What the node has room for. The header is well below its largest length, which is set aside for it.
+const ROOM: Room = {
+    let bank = &Map::node().banks.banks[0];
+    Room { bins: MAX_BINS, bytes: (bank.end - bank.start) as usize - MAX_HEADER_LEN - PREFIX_LEN }
+};
+
+/// How large the operators of a speed bin are.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BinSize {
+    /// Speed, m/s.
+    pub speed_m_s: f64,
+    /// Largest rank of an operator.
+    pub rank: usize,
+    /// Samples of the longest window.
+    pub window: usize,
+    /// Bytes of all operators.
+    pub bytes: usize,
+}
+
+/// A package, and which trains it is for.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Package {
+    /// As uploaded.
+    pub bytes: Vec<u8>,
+    /// Slowest and fastest speed bin, m/s.
+    pub speeds_m_s: [f64; 2],
+    /// Speeds of the recorded trains that the node will flag `speed-outside`, m/s, ascending: it has no room for their bins.
+    pub outside_m_s: Vec<f64>,
+}
+
+/// Encodes the package of a calibrated site: the bins of as many of its trains as the node has room for.
+pub fn package(site: &IdentifiedSite, done: &(dyn Fn() + Sync)) -> Result<Package, KernelError> {
     let raw_rate = site.site.crossing.sensor.sample_rate_hz;
     if (raw_rate - f64::from(RAW_RATE_HZ)).abs() > 0.5 {
         return Err(KernelError::SampleRate { found: raw_rate, expected: f64::from(RAW_RATE_HZ) });
+    }
+    let longest = site.pattern.groups().iter().map(|g| g.len).max().unwrap_or(0);
+    if longest > MAX_GROUP_AXLES {
+        return Err(too_many("axles less than 10 m from one another in a row", longest, MAX_GROUP_AXLES));
     }
     let kinds = kinds(&site.pattern);
     let greens = node_greens(site);
     let speeds = bin_speeds(site);
     let grid = grid(&site.prior);
-    let parts: Vec<Vec<Parts>> = speeds
+    let mut parts: Vec<Vec<Parts>> = speeds
         .par_iter()
         .map(|v| {
             let bin =
@@ -79,6 +133,8 @@ pub fn package(site: &IdentifiedSite, done: &(dyn Fn() + Sync)) -> Result<Vec<u8
             bin
         })
         .collect::<Result<_, InverseError>>()?;
+    let (chosen, outside_m_s) = within_room(site, &speeds, &parts)?;
+    let (speeds, parts) = (&speeds[chosen.clone()], parts.drain(chosen));
     let mut payload = Vec::new();
     let mut header = header(site, &kinds, &grid)?;
     for (speed, operators) in speeds.iter().zip(parts) {
@@ -92,11 +148,46 @@ pub fn package(site: &IdentifiedSite, done: &(dyn Fn() + Sync)) -> Result<Vec<u8
         header.bins.push(bin).map_err(|_| too_many("speed bins", speeds.len(), header.bins.len()))?;
     }
     header.payload_len = payload.len() as u32;
-    let mut out = vec![0; MAX_HEADER_LEN + 64];
-    let len = header.encode(&mut out).map_err(|e| KernelError::Header(format!("{e:?}")))?;
-    out.truncate(len);
-    out.extend(payload);
-    Ok(out)
+    header.check().map_err(|e| KernelError::Header(format!("{e:?}")))?;
+    let mut bytes = vec![0; MAX_HEADER_LEN + 64];
+    let len = header.encode(&mut bytes).map_err(|e| KernelError::Header(format!("{e:?}")))?;
+    bytes.truncate(len);
+    bytes.extend(payload);
+    Ok(Package { bytes, speeds_m_s: [speeds[0], speeds[speeds.len() - 1]], outside_m_s })
+}
+
+/// Which bins go into the package, and the speeds of the trains that none of them is for.
+fn within_room(
+    site: &IdentifiedSite,
+    speeds: &[f64],
+    parts: &[Vec<Parts>],
+) -> Result<(Range<usize>, Vec<f64>), KernelError> {
+    let sizes: Vec<BinSize> = speeds.iter().zip(parts).map(|(v, p)| size(*v, p)).collect();
+    let demand = |s: &BinSize| {
+        let fits = s.rank <= MAX_RANK && s.window <= MAX_WINDOW;
+        Demand { speed_m_s: s.speed_m_s, bytes: fits.then_some(s.bytes) }
+    };
+    let demands: Vec<Demand> = sizes.iter().map(demand).collect();
+    let mut recorded: Vec<f64> = site.timings.iter().map(|t| t.speed_m_s).collect();
+    recorded.sort_by(f64::total_cmp);
+    if let Some(range) = choose(&demands, &recorded, ROOM) {
+        recorded.retain(|v| !covers(&demands[range.clone()], *v));
+        return Ok((range, recorded));
+    }
+    let (slowest, fastest) =
+        (recorded.first().copied().unwrap_or(0.0), recorded.last().copied().unwrap_or(0.0));
+    // The last bin is above every train.
+    let smallest = sizes[sizes.len().saturating_sub(2)];
+    Err(KernelError::TooLarge { recorded_m_s: [slowest, fastest], smallest })
+}
+
+fn size(speed_m_s: f64, operators: &[Parts]) -> BinSize {
+    BinSize {
+        speed_m_s,
+        rank: operators.iter().map(|p| p.project.nrows()).max().unwrap_or(0),
+        window: operators.iter().map(|p| p.project.ncols()).max().unwrap_or(0),
+        bytes: operators.iter().map(Parts::bytes).sum(),
+    }
 }
 
 /// Number of bins [`package`] makes, for progress.
@@ -196,6 +287,13 @@ fn leading_directions(gain: &Mat<f64>, estimator: &Estimator) -> Mat<f64> {
 }
 
 impl Parts {
+    /// Bytes that [`Self::store`] takes.
+    fn bytes(&self) -> usize {
+        let matrices =
+            self.project.nrows() * self.project.ncols() + self.expand.nrows() * self.expand.ncols();
+        4 * (matrices + self.offset_n.len() + self.half_width_n.len() + self.template_m_s2.len())
+    }
+
     fn store(&self, payload: &mut Vec<u8>) -> Operator {
         Operator {
             before: self.before as u16,

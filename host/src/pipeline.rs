@@ -14,7 +14,7 @@ use crate::indicator::indicators;
 use crate::interaction::{BogieResponses, Interaction, Wheelset};
 use crate::inverse::InverseError;
 use crate::irregularity::{LONGEST_WAVELENGTH_M, irregularity_of_wheelset, on_grid};
-use crate::kernel::{HALF_WIDTH_90, KernelError};
+use crate::kernel::{HALF_WIDTH_90, KernelError, Package};
 use crate::limits::PassageLimits;
 use crate::progress::Progress;
 use crate::reconstruct::complementary_displacement;
@@ -50,18 +50,18 @@ pub fn analyse(
     evaluate(&identified, progress)
 }
 
-/// The kernel package for the node, encoded.
+/// The kernel package for the node.
 pub fn kernel(
     site: &Site,
     _options: &AnalyseOptions,
     progress: &dyn Progress,
-) -> Result<Vec<u8>, PipelineError> {
+) -> Result<Package, PipelineError> {
     let identified = identify(site, progress)?;
     package(&identified, progress)
 }
 
 /// The kernel package of a site that has been identified.
-pub fn package(identified: &IdentifiedSite, progress: &dyn Progress) -> Result<Vec<u8>, PipelineError> {
+pub fn package(identified: &IdentifiedSite, progress: &dyn Progress) -> Result<Package, PipelineError> {
     progress.begin("kernel package", crate::kernel::bin_count(identified) as u64);
     Ok(crate::kernel::package(identified, &|| progress.step())?)
 }

@@ -16,7 +16,7 @@ use crate::window::Cut;
 const LOW_SPEED_M_S: f32 = 40.0 / 3.6;
 /// Speeds this far outside the bins are still evaluated with the nearest one, relative. Half a per cent changes a
 /// force by a few per mille.
-const BIN_MARGIN: f32 = 0.005;
+pub const BIN_MARGIN: f32 = 0.005;
 /// The track is quiet until the first axle is this near, m.
 const QUIET_UNTIL_M: f32 = 9.0;
 /// Fewest quiet samples that give a bias.

@@ -55,7 +55,7 @@ impl DemoArgs {
         let bar = Bar::new();
         let identified = identify(&site, &bar).context("cannot calibrate the demo site")?;
         let analysis = pipeline::evaluate(&identified, &bar).context("cannot analyse the demo site")?;
-        let package = pipeline::package(&identified, &bar).context("cannot make the kernel package")?;
+        let package = pipeline::package(&identified, &bar).context("cannot make the kernel package")?.bytes;
         write_atomic(&self.out.join("kernel.bin"), &package)?;
         let records =
             crate::node_sim::records(&site, &package, &bar).context("cannot run the simulated node")?;

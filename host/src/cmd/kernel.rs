@@ -6,7 +6,7 @@ use anyhow::Context;
 use clap::Args;
 use serde_json::json;
 
-use super::output::{print, print_json, warn_skipped, with_effects};
+use super::output::{print, print_json, warn, warn_skipped, with_effects};
 use super::progress::Bar;
 use crate::pipeline::{self, AnalyseOptions};
 use crate::recording::files::write_atomic;
@@ -37,11 +37,29 @@ impl KernelArgs {
         let site = with_effects(site, self.with_effects.as_deref())?;
         let package = pipeline::kernel(&site, &AnalyseOptions::default(), &Bar::new())
             .with_context(|| format!("cannot make a kernel for site {}", self.site.display()))?;
-        write_atomic(&self.out, &package).context("cannot write the kernel package")?;
-        let (file, bytes) = (self.out.display().to_string(), package.len());
-        if self.json {
-            return print_json(&json!({ "site": site.crossing.name, "file": file, "bytes": bytes }));
+        write_atomic(&self.out, &package.bytes).context("cannot write the kernel package")?;
+        if let [slowest, .., fastest] | [slowest @ fastest] = &package.outside_m_s[..] {
+            warn(&format!(
+                "{} of {} recorded trains, {slowest:.1} to {fastest:.1} m/s, are not in the package: the node has no room for more \
+                 speeds, and will flag them speed-outside",
+                package.outside_m_s.len(),
+                site.passages.len()
+            ));
         }
-        print(&format!("{file}: kernel package of {bytes} bytes for site {}\n", site.crossing.name))
+        let (file, bytes) = (self.out.display().to_string(), package.bytes.len());
+        let [slowest, fastest] = package.speeds_m_s;
+        if self.json {
+            return print_json(&json!({
+                "site": site.crossing.name,
+                "file": file,
+                "bytes": bytes,
+                "speeds_m_s": package.speeds_m_s,
+                "outside_m_s": package.outside_m_s,
+            }));
+        }
+        print(&format!(
+            "{file}: kernel package of {bytes} bytes for site {}, trains of {slowest:.1} to {fastest:.1} m/s\n",
+            site.crossing.name
+        ))
     }
 }

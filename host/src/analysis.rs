@@ -1,5 +1,6 @@
 //! What `analyse` finds out about a site: the structs that the results files and the report are written from.
 
+use crate::limits::UNLIKE_MODEL;
 use crate::recording::{Crossing, Scan, Skipped};
 
 /// Everything known about one site after the analysis.
@@ -65,6 +66,13 @@ pub struct PassageResult {
     pub model_displacement_m: Vec<f64>,
     /// One per wheelset, in order of arrival.
     pub wheelsets: Vec<WheelsetResult>,
+}
+
+impl PassageResult {
+    /// Whether the calibrated model explains the recording; if not, its forces mean nothing.
+    pub fn explained(&self) -> bool {
+        !self.wheelsets.iter().any(|w| w.flags.iter().any(|f| f == UNLIKE_MODEL))
+    }
 }
 
 /// Force and irregularity of one wheelset on the crossing side; all vectors on the same 10 mm grid.

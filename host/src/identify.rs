@@ -1,5 +1,7 @@
 //! A site from recordings to calibrated model: speeds, ballast, axle times, common force profile.
 
+mod sound;
+
 use rayon::prelude::*;
 
 use crate::ballast::BallastParameters;
@@ -16,6 +18,8 @@ use crate::signal::mean;
 use crate::track::{Mesh, Track};
 use crate::vehicle::{AxlePattern, static_wheel_force_n};
 
+pub use self::sound::UNLIKE;
+
 /// Why a site cannot be identified.
 #[derive(Debug, thiserror::Error)]
 pub enum IdentifyError {
@@ -27,6 +31,17 @@ pub enum IdentifyError {
     Silent {
         /// Which recording.
         passage_id: i32,
+    },
+    /// The sensor is mounted upside down, or the recorder's sign is not that of the format.
+    #[error(
+        "the sleeper rises under the wheels in {rising} of {passages} passages: acceleration must be positive down; multiply the \
+         recordings by -1"
+    )]
+    UpsideDown {
+        /// Passages in which it does.
+        rising: usize,
+        /// All passages.
+        passages: usize,
     },
     /// The estimate broke down.
     #[error(transparent)]
@@ -65,11 +80,23 @@ pub struct IdentifiedSite<'s> {
     pub nearby_greens: [(GreensFunctions, f64); 3],
     /// Force deviation that all wheels share.
     pub profile: CommonProfile,
-    /// Posterior at the full band.
+    /// Posterior at the full band, of the passages in `used`.
     pub posterior: SitePosterior,
+    /// Passages that the site was identified from, by their place in the site.
+    pub used: Vec<usize>,
+    /// What the model leaves of every passage, squared, per value and in units of what it expects to leave.
+    pub misfit: Vec<f64>,
 }
 
 impl IdentifiedSite<'_> {
+    /// Whether the model explains a passage: its forces mean something. None does where the model explains less than half of them: what
+    /// little it has left of the others is then no proof of it.
+    pub fn explains(&self, index: usize) -> bool {
+        let explained = |i: usize| self.used.contains(&i) && self.misfit[i] <= UNLIKE;
+        let count = (0..self.misfit.len()).filter(|i| explained(*i)).count();
+        2 * count >= self.misfit.len() && explained(index)
+    }
+
     /// Window of a passage as an estimator expects it, for the group of axles that begins with axle `first`, m/s².
     pub fn window(&self, index: usize, estimator: &Estimator, first: usize) -> Vec<f64> {
         let rate = estimator.rate_hz;
@@ -88,10 +115,12 @@ impl IdentifiedSite<'_> {
     ) -> Result<Self, IdentifyError> {
         self.ballast.parameters = ballast;
         (self.greens, self.nearby_greens) = calibrated_greens(&self.track, &ballast);
-        let mut passages = site_passages(&self.recordings, &self.timings, &self.static_force_n);
+        let mut passages = some_of(&self.used, &self.recordings, &self.timings, &self.static_force_n);
         (self.prior, self.posterior) =
             common_force(&self.greens, self.direction, &self.pattern, &mut passages, progress)?;
-        self.timings = passages.iter().map(|p| p.timing).collect();
+        for (passage, index) in passages.iter().zip(&self.used) {
+            self.timings[*index] = passage.timing;
+        }
         self.profile = self.posterior.profile.clone();
         Ok(self)
     }
@@ -107,6 +136,9 @@ const PROFILE_STEP_M: (f64, f64) = (0.04, 0.064);
 const SHIFT_SD_M: (f64, f64) = (0.0003, 0.001);
 const SPEED_SD: f64 = 1e-4;
 
+/// Share of the passages in which the sleeper seems to rise from which on the sensor is taken to be upside down.
+const UPSIDE_DOWN: f64 = 0.8;
+
 /// Runs the identification.
 pub fn identify<'s>(site: &'s Site, progress: &dyn Progress) -> Result<IdentifiedSite<'s>, IdentifyError> {
     let crossing = &site.crossing;
@@ -119,25 +151,28 @@ pub fn identify<'s>(site: &'s Site, progress: &dyn Progress) -> Result<Identifie
     progress.begin("speed of the trains", site.passages.len() as u64);
     let recordings: Vec<Recording> =
         site.passages.par_iter().map(|p| Recording::new(p, &crossing.sensor)).collect();
-    let speeds = speeds(site, &recordings, &pattern, progress)?;
+    let speed_m_s = speeds(site, &recordings, &pattern, progress)?;
     let static_force_n: Vec<f64> = site
         .passages
         .iter()
         .map(|p| static_wheel_force_n(p.axle_load_kg, crossing.vehicle.gravity_m_s2))
         .collect();
-    progress.begin("ballast, quasi-static", 1);
-    let inputs: Vec<(&Recording, f64, f64)> =
-        (0..recordings.len()).map(|i| (&recordings[i], speeds[i], static_force_n[i])).collect();
-    let quasi_static = QuasiStatic::new(&track, direction, &pattern, &inputs).fit(BallastParameters::NOMINAL);
-    progress.step();
-    let found = speeds.iter().zip(&quasi_static.first_axle_s);
-    let timings: Vec<Timing> = found.map(|(v, t)| Timing { speed_m_s: *v, first_axle_s: *t }).collect();
-    let mut passages = site_passages(&recordings, &timings, &static_force_n);
     let problem = EvidenceProblem::new(&track, direction, &pattern, &crossing.vehicle);
-    let (calibration, ballast) = calibrate(&problem, &quasi_static, &mut passages, progress)?;
-    let (greens, nearby_greens) = calibrated_greens(&track, &ballast.parameters);
-    let (prior, posterior) = common_force(&greens, direction, &pattern, &mut passages, progress)?;
-    let timings = passages.iter().map(|p| p.timing).collect();
+    let known =
+        Known { problem: &problem, recordings: &recordings, speed_m_s, static_force_n: &static_force_n };
+    let (used, found) = known.of_sound_passages(progress)?;
+    known.check_sign(&found)?;
+    let Found {
+        quasi_static,
+        calibration,
+        ballast,
+        greens,
+        nearby_greens,
+        prior,
+        posterior,
+        timings,
+        misfit,
+    } = known.with_the_others(&used, found)?;
     Ok(IdentifiedSite {
         site,
         timings,
@@ -148,28 +183,140 @@ pub fn identify<'s>(site: &'s Site, progress: &dyn Progress) -> Result<Identifie
         prior,
         profile: posterior.profile.clone(),
         posterior,
-        track,
+        used,
+        misfit,
         pattern,
         direction,
-        recordings,
         clips_at_m_s2: flat_top_m_s2(site).map(|(range, _)| range),
         greens,
         nearby_greens,
+        recordings,
+        track,
     })
 }
 
-fn site_passages<'r>(
+/// What is known of a site's recordings before the track is.
+struct Known<'a> {
+    problem: &'a EvidenceProblem<'a>,
+    recordings: &'a [Recording],
+    speed_m_s: Vec<f64>,
+    static_force_n: &'a [f64],
+}
+
+/// What some of the passages say of the site; times and misfits are those of these passages.
+struct Found {
+    quasi_static: QuasiStaticFit,
+    calibration: Calibration,
+    ballast: EvidenceFit,
+    greens: GreensFunctions,
+    nearby_greens: [(GreensFunctions, f64); 3],
+    prior: Prior,
+    posterior: SitePosterior,
+    timings: Vec<Timing>,
+    misfit: Vec<f64>,
+}
+
+impl Known<'_> {
+    fn quasi_static(&self, which: &[usize]) -> QuasiStatic<'_> {
+        let inputs: Vec<(&Recording, f64, f64)> = which
+            .iter()
+            .map(|i| (&self.recordings[*i], self.speed_m_s[*i], self.static_force_n[*i]))
+            .collect();
+        let EvidenceProblem { track, direction, pattern, .. } = self.problem;
+        QuasiStatic::new(track, *direction, pattern, &inputs)
+    }
+
+    fn passages(&self, which: &[usize], first_axle_s: &[f64]) -> Vec<SitePassage<'_>> {
+        let passage = |(i, time): (&usize, &f64)| SitePassage {
+            recording: &self.recordings[*i],
+            timing: Timing { speed_m_s: self.speed_m_s[*i], first_axle_s: *time },
+            static_force_n: self.static_force_n[*i],
+        };
+        which.iter().zip(first_axle_s).map(passage).collect()
+    }
+
+    /// Identifies the site from some of its passages.
+    fn find(&self, which: &[usize], progress: &dyn Progress) -> Result<Found, IdentifyError> {
+        progress.begin("ballast, quasi-static", 1);
+        let quasi_static = self.quasi_static(which).fit(BallastParameters::NOMINAL);
+        progress.step();
+        let mut passages = self.passages(which, &quasi_static.first_axle_s);
+        let (calibration, ballast) = calibrate(self.problem, &quasi_static, &mut passages, progress)?;
+        let EvidenceProblem { track, direction, pattern, .. } = self.problem;
+        let (greens, nearby_greens) = calibrated_greens(track, &ballast.parameters);
+        let (prior, posterior) = common_force(&greens, *direction, pattern, &mut passages, progress)?;
+        let timings = passages.iter().map(|p| p.timing).collect();
+        let misfit = posterior.misfit.clone();
+        Ok(Found {
+            quasi_static,
+            calibration,
+            ballast,
+            greens,
+            nearby_greens,
+            prior,
+            posterior,
+            timings,
+            misfit,
+        })
+    }
+
+    /// Where the model explains next to nothing, it may be the sign.
+    fn check_sign(&self, found: &Found) -> Result<(), IdentifyError> {
+        let unlike = found.misfit.iter().filter(|m| **m > UNLIKE).count();
+        if 2 * unlike <= found.misfit.len() {
+            return Ok(());
+        }
+        let passages = self.recordings.len();
+        let all: Vec<usize> = (0..passages).collect();
+        let share = self.quasi_static(&all).rising(&BallastParameters::NOMINAL);
+        if share < UPSIDE_DOWN {
+            return Ok(());
+        }
+        Err(IdentifyError::UpsideDown { rising: (share * passages as f64).round() as usize, passages })
+    }
+
+    /// Times and misfits of all passages: those that were not used follow what the others have found.
+    fn with_the_others(&self, used: &[usize], mut found: Found) -> Result<Found, IdentifyError> {
+        let others: Vec<usize> = (0..self.recordings.len()).filter(|i| !used.contains(i)).collect();
+        if others.is_empty() {
+            return Ok(found);
+        }
+        let first_axle_s = self.quasi_static(&others).align(&found.ballast.parameters);
+        let mut passages = self.passages(&others, &first_axle_s);
+        self.problem.align(&found.calibration, &mut passages)?;
+        let EvidenceProblem { direction, pattern, .. } = self.problem;
+        let model = force_model(&found.greens, *direction, pattern, &found.prior, &found.posterior.profile);
+        let followed = model.follow(&passages)?;
+        realign(&mut passages, &followed);
+        let timings: Vec<Timing> = passages.iter().map(|p| p.timing).collect();
+        let merge = |of_used: &[f64], of_others: &[f64]| merged(used, of_used, &others, of_others);
+        found.misfit = merge(&found.misfit, &followed.misfit);
+        found.quasi_static.first_axle_s = merge(&found.quasi_static.first_axle_s, &first_axle_s);
+        found.timings = merged(used, &found.timings, &others, &timings);
+        Ok(found)
+    }
+}
+
+/// Values of some passages and of the others, in the order of the site.
+fn merged<T: Copy>(some: &[usize], of_some: &[T], others: &[usize], of_others: &[T]) -> Vec<T> {
+    let mut all: Vec<(usize, T)> =
+        some.iter().chain(others).copied().zip(of_some.iter().chain(of_others).copied()).collect();
+    all.sort_by_key(|(i, _)| *i);
+    all.into_iter().map(|(_, value)| value).collect()
+}
+
+fn some_of<'r>(
+    which: &[usize],
     recordings: &'r [Recording],
     timings: &[Timing],
     static_force_n: &[f64],
 ) -> Vec<SitePassage<'r>> {
-    let known = timings.iter().zip(static_force_n);
-    let passage = |(recording, (timing, force)): (&'r Recording, (&Timing, &f64))| SitePassage {
-        recording,
-        timing: *timing,
-        static_force_n: *force,
+    let passage = |i: &usize| SitePassage {
+        recording: &recordings[*i],
+        timing: timings[*i],
+        static_force_n: static_force_n[*i],
     };
-    recordings.iter().zip(known).map(passage).collect()
+    which.iter().map(passage).collect()
 }
 
 /// Green's functions on a ballast, and on ballast with each of (ln p1, ln p2, p3) moved by a step.
@@ -243,6 +390,28 @@ fn calibrate(
     Ok((state, fit))
 }
 
+/// Model of the forces at the full band.
+fn force_model<'a>(
+    greens: &'a GreensFunctions,
+    direction: f64,
+    pattern: &'a AxlePattern,
+    prior: &'a Prior,
+    profile: &'a CommonProfile,
+) -> SiteModel<'a> {
+    SiteModel {
+        model: TrackModel { greens, excitation: Excitation::Force },
+        moved: Vec::new(),
+        direction,
+        pattern,
+        prior,
+        profile,
+        common_shift_sd_m: SHIFT_SD_M.0,
+        passage_shift_sd_m: SHIFT_SD_M.1,
+        speed_sd: SPEED_SD,
+        temperature: TEMPERATURE,
+    }
+}
+
 /// Force profile that all wheels share at the full band, with the axle times.
 fn common_force(
     greens: &GreensFunctions,
@@ -256,18 +425,7 @@ fn common_force(
     let mean_speed = mean(&passages.iter().map(|p| p.timing.speed_m_s).collect::<Vec<_>>());
     let grids = ProfileGrids::force(start.half_m, PROFILE_STEP_M.0, PROFILE_STEP_M.1, mean_speed);
     let zero = CommonProfile::zero(grids);
-    let model = SiteModel {
-        model: TrackModel { greens, excitation: Excitation::Force },
-        moved: Vec::new(),
-        direction,
-        pattern,
-        prior: &start,
-        profile: &zero,
-        common_shift_sd_m: SHIFT_SD_M.0,
-        passage_shift_sd_m: SHIFT_SD_M.1,
-        speed_sd: SPEED_SD,
-        temperature: TEMPERATURE,
-    };
+    let model = force_model(greens, direction, pattern, &start, &zero);
     let some = spread_out(passages, HYPER_PASSAGES);
     let prepared = model.prepared(&some)?;
     let evidence = |prior: &Prior| SiteModel { prior, ..model.clone() }.log_evidence(&prepared);

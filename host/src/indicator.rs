@@ -13,15 +13,27 @@ pub const IRREGULARITY_RMS_THRESHOLD_M: f64 = 0.20e-3;
 /// Within this share of a threshold a healthy crossing is watched.
 const NEAR: f64 = 0.1;
 
-/// Indicators of the passages; `static_force_n` sets the force threshold.
+/// Advice where the model explains no passage.
+const UNEXPLAINED: (&str, &str) = (
+    "schedulable",
+    "The calibrated model does not explain these recordings, so that forces and irregularity mean nothing: look at a few in the report for \
+     drift, interference, gaps or another train, compare crossing.toml with the crossing, and run `cpcm diagnose`.",
+);
+
+/// Indicators of the passages that the model explains, of all where it explains none; `static_force_n` sets the force threshold.
 pub fn indicators(passages: &[PassageResult], position_m: &[f64], static_force_n: f64) -> Indicators {
-    let wheels: Vec<&WheelsetResult> = passages.iter().flat_map(|p| &p.wheelsets).collect();
+    let explained = passages.iter().filter(|p| p.explained()).count();
+    let counts = |p: &&PassageResult| explained == 0 || p.explained();
+    let wheels: Vec<&WheelsetResult> = passages.iter().filter(counts).flat_map(|p| &p.wheelsets).collect();
     let peaks: Vec<f64> = wheels.iter().map(|w| w.peak_force_n.value).collect();
     let rms: Vec<f64> = wheels.iter().map(|w| w.irregularity_rms_m).collect();
     let peak_force_n = spread(&peaks, PEAK_RATIO_THRESHOLD * static_force_n);
     let irregularity_rms_m = spread(&rms, IRREGULARITY_RMS_THRESHOLD_M);
     let condition = condition(&peak_force_n, &irregularity_rms_m);
-    let (urgency, recommended_action) = advice(condition, &peak_force_n, &irregularity_rms_m);
+    let (condition, (urgency, recommended_action)) = match explained {
+        0 if !passages.is_empty() => (Condition::Watch, UNEXPLAINED),
+        _ => (condition, advice(condition, &peak_force_n, &irregularity_rms_m)),
+    };
     Indicators {
         peak_force_n,
         irregularity_rms_m,

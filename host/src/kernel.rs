@@ -60,6 +60,15 @@ pub enum KernelError {
         /// The fastest bin that is not above all of them.
         smallest: BinSize,
     },
+    /// The calibrated model is none.
+    #[error(
+        "the calibrated model does not explain the {passages} recordings: a node with its kernel would report wrong forces; see the \
+         flags and the report of `cpcm analyse`, or `cpcm diagnose`"
+    )]
+    Unexplained {
+        /// All of them.
+        passages: usize,
+    },
     /// The header is too long or inconsistent.
     #[error("the package header is refused by the node's own check: {0}")]
     Header(String),
@@ -120,9 +129,14 @@ pub fn package(site: &IdentifiedSite, done: &(dyn Fn() + Sync)) -> Result<Packag
     if longest > MAX_GROUP_AXLES {
         return Err(too_many("axles less than 10 m from one another in a row", longest, MAX_GROUP_AXLES));
     }
+    let recorded_m_s = recorded_speeds(site);
+    let passages = site.timings.len();
+    if recorded_m_s.is_empty() {
+        return Err(KernelError::Unexplained { passages });
+    }
     let kinds = kinds(&site.pattern);
     let greens = node_greens(site);
-    let speeds = bin_speeds(site);
+    let speeds = bin_speeds(&recorded_m_s);
     let grid = grid(&site.prior);
     let mut parts: Vec<Vec<Parts>> = speeds
         .par_iter()
@@ -133,7 +147,7 @@ pub fn package(site: &IdentifiedSite, done: &(dyn Fn() + Sync)) -> Result<Packag
             bin
         })
         .collect::<Result<_, InverseError>>()?;
-    let (chosen, outside_m_s) = within_room(site, &speeds, &parts)?;
+    let (chosen, outside_m_s) = within_room(recorded_m_s, &speeds, &parts)?;
     let (speeds, parts) = (&speeds[chosen.clone()], parts.drain(chosen));
     let mut payload = Vec::new();
     let mut header = header(site, &kinds, &grid)?;
@@ -158,7 +172,7 @@ pub fn package(site: &IdentifiedSite, done: &(dyn Fn() + Sync)) -> Result<Packag
 
 /// Which bins go into the package, and the speeds of the trains that none of them is for.
 fn within_room(
-    site: &IdentifiedSite,
+    mut recorded_m_s: Vec<f64>,
     speeds: &[f64],
     parts: &[Vec<Parts>],
 ) -> Result<(Range<usize>, Vec<f64>), KernelError> {
@@ -168,14 +182,12 @@ fn within_room(
         Demand { speed_m_s: s.speed_m_s, bytes: fits.then_some(s.bytes) }
     };
     let demands: Vec<Demand> = sizes.iter().map(demand).collect();
-    let mut recorded: Vec<f64> = site.timings.iter().map(|t| t.speed_m_s).collect();
-    recorded.sort_by(f64::total_cmp);
-    if let Some(range) = choose(&demands, &recorded, ROOM) {
-        recorded.retain(|v| !covers(&demands[range.clone()], *v));
-        return Ok((range, recorded));
+    if let Some(range) = choose(&demands, &recorded_m_s, ROOM) {
+        recorded_m_s.retain(|v| !covers(&demands[range.clone()], *v));
+        return Ok((range, recorded_m_s));
     }
-    let (slowest, fastest) =
-        (recorded.first().copied().unwrap_or(0.0), recorded.last().copied().unwrap_or(0.0));
+    let end = |speed: Option<&f64>| speed.copied().unwrap_or(0.0);
+    let (slowest, fastest) = (end(recorded_m_s.first()), end(recorded_m_s.last()));
     // The last bin is above every train.
     let smallest = sizes[sizes.len().saturating_sub(2)];
     Err(KernelError::TooLarge { recorded_m_s: [slowest, fastest], smallest })
@@ -190,9 +202,9 @@ fn size(speed_m_s: f64, operators: &[Parts]) -> BinSize {
     }
 }
 
-/// Number of bins [`package`] makes, for progress.
+/// Number of bins that [`package`] computes, for progress.
 pub fn bin_count(site: &IdentifiedSite) -> usize {
-    bin_speeds(site).len()
+    bin_speeds(&recorded_speeds(site)).len()
 }
 
 /// Green's functions as the node sees the track: recorder and decimation filter included.
@@ -208,9 +220,20 @@ fn node_greens(site: &IdentifiedSite) -> GreensFunctions {
     GreensFunctions::new(&site.track, &distribution, sampling, Quantity::Acceleration, &chain)
 }
 
-fn bin_speeds(site: &IdentifiedSite) -> Vec<f64> {
-    let slowest = site.timings.iter().map(|t| t.speed_m_s).fold(f64::INFINITY, f64::min) * (1.0 - BIN_MARGIN);
-    let fastest = site.timings.iter().map(|t| t.speed_m_s).fold(0.0, f64::max) * (1.0 + BIN_MARGIN);
+/// Speeds of the passages that the model explains, m/s, ascending.
+fn recorded_speeds(site: &IdentifiedSite) -> Vec<f64> {
+    let explained = site.timings.iter().enumerate().filter(|(i, _)| site.explains(*i));
+    let mut speeds: Vec<f64> = explained.map(|(_, t)| t.speed_m_s).collect();
+    speeds.sort_by(f64::total_cmp);
+    speeds
+}
+
+/// Speeds of bins for trains of `recorded_m_s`, ascending, with room on both sides.
+fn bin_speeds(recorded_m_s: &[f64]) -> Vec<f64> {
+    let (Some(slowest), Some(fastest)) = (recorded_m_s.first(), recorded_m_s.last()) else {
+        return Vec::new();
+    };
+    let (slowest, fastest) = (slowest * (1.0 - BIN_MARGIN), fastest * (1.0 + BIN_MARGIN));
     let steps = ((fastest / slowest).ln() / BIN_STEP).ceil().max(1.0) as usize;
     (0..=steps).map(|i| slowest * (fastest / slowest).powf(i as f64 / steps as f64)).collect()
 }

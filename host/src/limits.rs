@@ -8,9 +8,10 @@
 //! | `freight` | freight trains: wheelset mass and load are not known, the method is not made for them |
 //! | `unlike-load` | axle load more than 10 % off the site's vehicle: forces follow in proportion |
 //! | `unlike-speed` | the operator states a speed more than 5 % off the one found: one of them, or the unit, is wrong |
+//! | `unlike-model` | the calibrated model does not explain the recording: spikes, gaps, drift, half a train, another train, or the whole site is not as described |
 //! | `large-deflection` | beyond 3 mm ballast is not linear: voids, which no linear track explains |
 //!
-//! A flag changes nothing else; it says how far to trust.
+//! A flag changes nothing else; it says how far to trust. But for `unlike-model`: indicators are of the other passages.
 
 use crate::reconstruct::ABOUT;
 
@@ -29,6 +30,9 @@ const FREIGHT_AXLE_KG: f64 = 20_500.0;
 const UNLIKE_LOAD: f64 = 0.1;
 /// Sleeper displacement, metres: the paper's linear panels reach 1 mm, its voided one 6 mm.
 const LARGE_DEFLECTION_M: f64 = 3e-3;
+
+/// Flag of passages that site-wide results leave out while others are left.
+pub const UNLIKE_MODEL: &str = "unlike-model";
 
 /// What the flags of one passage depend on.
 #[derive(Clone, Debug)]
@@ -51,6 +55,8 @@ pub struct PassageLimits<'a> {
     pub axle_load_kg: f64,
     /// Axle load of the site's vehicle, kg.
     pub vehicle_axle_load_kg: f64,
+    /// Whether the calibrated model explains the recording.
+    pub explained: bool,
     /// Reconstructed displacement of the sleeper, metres, positive down.
     pub displacement_m: &'a [f64],
 }
@@ -71,6 +77,7 @@ impl PassageLimits<'_> {
             ("freight", freight),
             ("unlike-load", unlike),
             ("unlike-speed", unlike_speed),
+            (UNLIKE_MODEL, !self.explained),
             ("large-deflection", deepest > LARGE_DEFLECTION_M),
         ]
         .into_iter()
@@ -100,6 +107,7 @@ mod tests {
             vehicle_type: "X2",
             axle_load_kg: 15_500.0,
             vehicle_axle_load_kg: 15_500.0,
+            explained: true,
             displacement_m: &[0.0, 0.8e-3, -0.1e-3],
         }
     }
@@ -122,6 +130,7 @@ mod tests {
         one(heavy, "freight");
         one(PassageLimits { axle_load_kg: 18_000.0, ..sound() }, "unlike-load");
         one(PassageLimits { stated_m_s: Some(158.4), ..sound() }, "unlike-speed");
+        one(PassageLimits { explained: false, ..sound() }, "unlike-model");
         one(PassageLimits { displacement_m: &[6e-3], ..sound() }, "large-deflection");
     }
 

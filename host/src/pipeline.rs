@@ -195,6 +195,7 @@ fn flags(identified: &IdentifiedSite, index: usize, displacement_m: &[f64]) -> V
         vehicle_type: &site.crossing.vehicle.kind,
         axle_load_kg: passage.axle_load_kg,
         vehicle_axle_load_kg: site.crossing.vehicle.axle_load_kg,
+        explained: identified.explains(index),
         displacement_m,
     }
     .flags()
@@ -284,8 +285,10 @@ fn ballast_estimate(identified: &IdentifiedSite, passages: &[PassageResult]) -> 
     let stiffness_n_m2 = (0..identified.track.sleeper_x_m.len())
         .map(|s| sleeper_interval(&p, &fit.covariance, s as i64 - crossing as i64))
         .collect();
+    let explained = passages.iter().any(PassageResult::explained);
     let difference: Vec<f64> = passages
         .iter()
+        .filter(|r| !explained || r.explained())
         .map(|r| {
             let e: Vec<f64> =
                 r.displacement_m.iter().zip(&r.model_displacement_m).map(|(a, b)| a - b).collect();

@@ -10,7 +10,7 @@ use nalgebra::{DMatrix, DVector, Dyn, Owned, Vector3};
 use rayon::prelude::*;
 
 use super::BallastParameters;
-use crate::reconstruct::Recording;
+use crate::reconstruct::{ABOUT, Recording, comb};
 use crate::track::{SensorReceptance, Track};
 use crate::vehicle::AxlePattern;
 
@@ -32,9 +32,8 @@ const FADE_M: [f64; 2] = [13.0, 17.0];
 pub struct QuasiStaticPassage {
     speed_m_s: f64,
     static_force_n: f64,
-    duration_s: f64,
-    /// Time between first and last axle, seconds.
-    train_s: f64,
+    /// Where the first axle is looked for, s: from, to.
+    search_s: [f64; 2],
     /// Displacement spectrum on the lines, m s.
     measured: Vec<c64>,
     /// Sum of the axles' phases on the lines.
@@ -98,6 +97,27 @@ impl<'a> QuasiStatic<'a> {
     pub fn align(&self, ballast: &BallastParameters) -> Vec<f64> {
         let models = self.models(ballast);
         self.passages.par_iter().zip(&models).map(|(p, m)| self.search_time(p, m)).collect()
+    }
+
+    /// Share of the passages in which a track that rises under the wheels matches better than one that sinks: near 1 where the sensor is
+    /// upside down.
+    pub fn rising(&self, ballast: &BallastParameters) -> f64 {
+        let models = self.models(ballast);
+        let rises = |(p, m): &(&QuasiStaticPassage, &Vec<c64>)| {
+            let down: Vec<c64> = m.iter().map(|v| -v).collect();
+            let match_of = |model: &[c64]| {
+                let time = self.search_time(p, model);
+                (0..self.in_band(p))
+                    .map(|k| {
+                        let turn = unit(std::f64::consts::TAU * self.frequency_hz[k] * time);
+                        (p.measured[k] * model[k].conj() * turn).re
+                    })
+                    .sum::<f64>()
+            };
+            match_of(&down) > match_of(m)
+        };
+        let count = self.passages.iter().zip(&models).filter(rises).count();
+        count as f64 / self.passages.len().max(1) as f64
     }
 
     /// Fits the three parameters, times of the axles included, from `start`.
@@ -209,11 +229,8 @@ impl<'a> QuasiStatic<'a> {
         let lines = self.in_band(passage);
         let product: Vec<c64> = (0..lines).map(|k| passage.measured[k] * model[k].conj()).collect();
         let step = 1e-3;
-        // The whole train with its approach lies inside the recording; this also excludes the copies of the train that
-        // the line spacing allows.
-        let approach_s = APPROACH_M / passage.speed_m_s;
-        let span = passage.duration_s - passage.train_s - 2.0 * approach_s;
-        let count = (span.max(0.0) / step) as usize + 1;
+        let [from_s, to_s] = passage.search_s;
+        let count = ((to_s - from_s).max(0.0) / step) as usize + 1;
         let correlation = |t: f64| -> f64 {
             product
                 .iter()
@@ -222,7 +239,7 @@ impl<'a> QuasiStatic<'a> {
                 .sum()
         };
         let best = (0..count)
-            .map(|i| approach_s + i as f64 * step)
+            .map(|i| from_s + i as f64 * step)
             .max_by(|a, b| correlation(*a).total_cmp(&correlation(*b)));
         self.refine_time(passage, model, best.unwrap_or(0.0))
     }
@@ -306,10 +323,27 @@ fn prepare(
     QuasiStaticPassage {
         speed_m_s: speed,
         static_force_n: force,
-        duration_s,
-        train_s: pattern.length_m() / speed,
+        search_s: search_s(recording, speed, pattern),
         measured,
         pattern: axles,
+    }
+}
+
+/// Where the first axle is looked for: the whole train with its approach lies inside the recording. The spacing of the lines repeats
+/// the train every two seconds; where the recording is longer than that, the impacts on the crossing say which one it is.
+fn search_s(recording: &Recording, speed_m_s: f64, pattern: &AxlePattern) -> [f64; 2] {
+    let approach_s = APPROACH_M / speed_m_s;
+    let inside = [approach_s, recording.duration_s() - pattern.length_m() / speed_m_s - approach_s];
+    let repeats_s = 1.0 / LINE_HZ;
+    if inside[1] - inside[0] < repeats_s {
+        return inside;
+    }
+    let about = [(1.0 - ABOUT) * speed_m_s, (1.0 + ABOUT) * speed_m_s];
+    match comb(recording, pattern, about) {
+        Some((_, hit_s)) => {
+            [(hit_s - 0.5 * repeats_s).max(inside[0]), (hit_s + 0.5 * repeats_s).min(inside[1])]
+        }
+        None => inside,
     }
 }
 

@@ -5,9 +5,10 @@ use std::path::PathBuf;
 use anyhow::Context;
 use clap::Args;
 
-use super::output::{print, warn_skipped, with_effects};
+use super::output::{print, warn, warn_skipped, with_effects};
 use super::progress::Bar;
 use crate::analysis::{Analysis, Condition};
+use crate::limits::UNLIKE_MODEL;
 use crate::pipeline::{self, AnalyseOptions};
 use crate::recording::read_site;
 use crate::results::{summary_json, write_results};
@@ -42,11 +43,30 @@ impl AnalyseArgs {
             .with_context(|| format!("cannot analyse site {}", self.site.display()))?;
         write_results(&self.out, &analysis)
             .with_context(|| format!("cannot write results to {}", self.out.display()))?;
+        warn_unexplained(&analysis);
         if self.json {
             return print(&summary_json(&analysis));
         }
         print(&format!("{}\nreport: {}\n", summary(&analysis), self.out.join("report.html").display()))
     }
+}
+
+/// Names the passages that the model does not explain, on standard error.
+fn warn_unexplained(analysis: &Analysis) {
+    let unlike: Vec<String> =
+        analysis.passages.iter().filter(|p| !p.explained()).map(|p| p.passage_id.to_string()).collect();
+    if unlike.is_empty() {
+        return;
+    }
+    let (count, all) = (unlike.len(), analysis.passages.len());
+    let what = match count < all {
+        true => format!("passages {} left out of ballast and indicators", unlike.join(", ")),
+        false => "ballast, forces and irregularity mean nothing".into(),
+    };
+    warn(&format!(
+        "the model does not explain {count} of {all} recordings, flag {UNLIKE_MODEL}: {what}; look at them in the report for spikes, gaps, \
+         drift, interference or another train"
+    ));
 }
 
 /// Condition, action and the numbers behind them, for the terminal.
@@ -57,6 +77,7 @@ pub(super) fn summary(analysis: &Analysis) -> String {
         Condition::Watch => "watch",
         Condition::Damaged => "damaged",
     };
+    let used = analysis.passages.iter().filter(|p| p.explained()).count();
     let (f, r, b) = (i.peak_force_n, i.irregularity_rms_m, &analysis.ballast);
     format!(
         "site          {}\ncondition     {condition}\nurgency       {}\naction        {}\n\
@@ -79,7 +100,7 @@ pub(super) fn summary(analysis: &Analysis) -> String {
         1e-6 * b.p2_n_m2.lower,
         1e-6 * b.p2_n_m2.upper,
         1e-6 * b.p1_n_m2.value,
-        analysis.passages.len(),
-        analysis.skipped.len(),
+        used,
+        analysis.passages.len() - used + analysis.skipped.len(),
     )
 }

@@ -86,6 +86,9 @@ pub struct SitePosterior {
     pub shift_m: Vec<f64>,
     /// Relative error of every passage's duration: the train takes longer by this share than assumed.
     pub stretch: Vec<f64>,
+    /// What the model leaves of every passage, squared, per value of its windows and in units of what it expects to leave: below 1
+    /// where the model holds.
+    pub misfit: Vec<f64>,
 }
 
 /// Unknowns that each passage has for itself: position and stretch.
@@ -100,6 +103,9 @@ struct Statistics {
     /// Information vector of (c, X, θ).
     vector: Mat<f64>,
     log_likelihood: f64,
+    /// Squared residual with the profile zero, and how many values it has.
+    squared: f64,
+    values: usize,
     /// Covariance of the own unknowns, their coupling to (c, X, θ), and their information values.
     /// The coupling is that of the entries of the joint vector.
     own_covariance: [[f64; 2]; 2],
@@ -129,6 +135,13 @@ impl SiteModel<'_> {
         let mean_shift_sd_m = self.mean_shift_sd_m(&statistics, &covariance);
         let means = self.means(&statistics, &mean);
         Ok(SitePosterior { log_evidence: joint.log_evidence, covariance, mean_shift_sd_m, ..means })
+    }
+
+    /// What passages say of their own unknowns, with what is shared known to be as in the model.
+    pub fn follow(&self, passages: &[SitePassage]) -> Result<SitePosterior, InverseError> {
+        let known = &self.profile.value;
+        let shared = Mat::from_fn(self.shared(), 1, |i, _| known.get(i).copied().unwrap_or(0.0));
+        Ok(self.means(&self.of_every(passages)?, &shared))
     }
 
     /// Posterior mean of the common profile alone, under the model's prior.
@@ -252,6 +265,7 @@ impl SiteModel<'_> {
             parameters: (p + 1..mean.nrows()).map(|i| mean[(i, 0)]).collect(),
             shift_m: own.iter().map(|o| common_shift_m + o[0]).collect(),
             stretch: own.iter().map(|o| o[1]).collect(),
+            misfit: statistics.iter().map(|s| s.misfit(mean)).collect(),
         }
     }
 
@@ -326,14 +340,15 @@ impl SiteModel<'_> {
             })
             .collect();
         let mut products: Mat<f64> = Mat::zeros(width, width);
-        let mut log_likelihood = 0.0;
+        let (mut log_likelihood, mut values) = (0.0, 0);
         for ((of_kind, estimator), (_, groups)) in of_kinds.iter().zip(&estimators).zip(&passage.columns) {
             products += of_kind;
+            values += groups * estimator.len();
             log_likelihood -= *groups as f64
                 * (estimator.log_det_half() + 0.5 * estimator.len() as f64 * std::f64::consts::TAU.ln());
         }
         log_likelihood -= 0.5 * products[(width - 1, width - 1)];
-        Ok(self.eliminate_own(shapes, &products, log_likelihood))
+        Ok(Statistics { values, ..self.eliminate_own(shapes, &products, log_likelihood) })
     }
 
     fn eliminate_own(&self, shapes: &Shapes, products: &Mat<f64>, log_likelihood: f64) -> Statistics {
@@ -375,6 +390,8 @@ impl SiteModel<'_> {
             information,
             vector: shapes.expanded_columns(vector.as_ref()).transpose().to_owned(),
             log_likelihood: log_likelihood + 0.5 * quadratic - 0.5 * (determinant.ln() - prior_ln),
+            squared: products[(m + OWN, m + OWN)] - quadratic,
+            values: 0,
             own_covariance: covariance,
             own_coupling: shapes.expanded_columns(coupling.transpose()).transpose().to_owned(),
             own_value: value,
@@ -399,6 +416,20 @@ impl Joint {
 }
 
 impl Statistics {
+    /// Squared residual per value, the own unknowns at their best.
+    fn misfit(&self, shared: &Mat<f64>) -> f64 {
+        let (entries, q) = (shared.nrows(), self.shapes.len());
+        let more = self.information.nrows() - q;
+        let profile: Vec<f64> = (0..entries - more).map(|i| shared[(i, 0)]).collect();
+        let amplitudes = self.shapes.amplitudes(&profile);
+        let known = Mat::from_fn(q + more, 1, |i, _| {
+            if i < q { amplitudes[(i, 0)] } else { shared[(entries - more + i - q, 0)] }
+        });
+        let of_vector: f64 = (0..entries).map(|i| self.vector[(i, 0)] * shared[(i, 0)]).sum();
+        let expected = (known.transpose() * &self.information * &known)[(0, 0)];
+        (self.squared - 2.0 * of_vector + expected) / self.values.max(1) as f64
+    }
+
     fn own_mean(&self, shared: &Mat<f64>) -> [f64; OWN] {
         let left: Vec<f64> = (0..OWN)
             .map(|k| {

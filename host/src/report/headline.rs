@@ -62,7 +62,9 @@ fn speeds_km_h(analysis: &Analysis) -> (f64, f64) {
 fn facts(analysis: &Analysis) -> Vec<(&'static str, String, String)> {
     let i = &analysis.indicators;
     let wheelsets: usize = analysis.passages.iter().map(|p| p.wheelsets.len()).sum();
-    let passages = format!("{} used, {} left out", analysis.passages.len(), analysis.skipped.len());
+    let used = analysis.passages.iter().filter(|p| p.explained()).count();
+    let left_out = analysis.passages.len() - used + analysis.skipped.len();
+    let passages = format!("{used} used, {left_out} left out");
     let (force, rms) = (i.peak_force_n, i.irregularity_rms_m);
     vec![
         ("Force peak", format!("{:.0} kN", 1e-3 * force.mean), spread(force, 1e-3, "kN")),

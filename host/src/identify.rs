@@ -14,7 +14,7 @@ use crate::inverse::{CommonProfile, Estimator, Excitation, InverseError, Prior, 
 use crate::progress::Progress;
 use crate::reconstruct::{Recording, SPEEDS_M_S, SpeedSearch, Timing, comb, estimate_speed, flat_top_m_s2};
 use crate::recording::Site;
-use crate::signal::mean;
+use crate::signal::{mean, quantile};
 use crate::track::{Mesh, Track};
 use crate::vehicle::{AxlePattern, static_wheel_force_n};
 
@@ -97,6 +97,12 @@ impl IdentifiedSite<'_> {
         2 * count >= self.misfit.len() && explained(index)
     }
 
+    /// Noise that the model needs to explain the recordings, over that of quiet track: what it leaves is more than the sensor's.
+    pub fn excess_noise(&self) -> f64 {
+        let quiet: Vec<f64> = self.used.iter().map(|i| self.recordings[*i].quiet_rms_m_s2).collect();
+        self.prior.noise_m_s2 / quantile(&quiet, 0.5).max(LEAST_NOISE_M_S2)
+    }
+
     /// Window of a passage as an estimator expects it, for the group of axles that begins with axle `first`, m/s².
     pub fn window(&self, index: usize, estimator: &Estimator, first: usize) -> Vec<f64> {
         let rate = estimator.rate_hz;
@@ -135,6 +141,9 @@ const PROFILE_STEP_M: (f64, f64) = (0.04, 0.064);
 /// Position uncertainty left after the calibration, metres: common and per passage; relative error of the speed.
 const SHIFT_SD_M: (f64, f64) = (0.0003, 0.001);
 const SPEED_SD: f64 = 1e-4;
+
+/// Noise at which the search for the prior begins, m/s²: recordings of good sensors seldom want less.
+const LEAST_NOISE_M_S2: f64 = 0.06;
 
 /// Share of the passages in which the sleeper seems to rise from which on the sensor is taken to be upside down.
 const UPSIDE_DOWN: f64 = 0.8;

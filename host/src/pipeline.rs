@@ -195,6 +195,7 @@ fn flags(identified: &IdentifiedSite, index: usize, displacement_m: &[f64]) -> V
         vehicle_type: &site.crossing.vehicle.kind,
         axle_load_kg: passage.axle_load_kg,
         vehicle_axle_load_kg: site.crossing.vehicle.axle_load_kg,
+        excess_noise: identified.excess_noise(),
         explained: identified.explains(index),
         displacement_m,
     }

@@ -7,8 +7,8 @@ use clap::Args;
 
 use super::output::{print, warn, warn_skipped, with_effects};
 use super::progress::Bar;
-use crate::analysis::{Analysis, Condition};
-use crate::limits::UNLIKE_MODEL;
+use crate::analysis::{Analysis, Condition, PassageResult};
+use crate::limits::{MODEL_GAP, UNLIKE_MODEL};
 use crate::pipeline::{self, AnalyseOptions};
 use crate::recording::read_site;
 use crate::results::{summary_json, write_results};
@@ -51,22 +51,30 @@ impl AnalyseArgs {
     }
 }
 
-/// Names the passages that the model does not explain, on standard error.
+/// Says on standard error what the model does not explain.
 fn warn_unexplained(analysis: &Analysis) {
-    let unlike: Vec<String> =
-        analysis.passages.iter().filter(|p| !p.explained()).map(|p| p.passage_id.to_string()).collect();
-    if unlike.is_empty() {
-        return;
-    }
-    let (count, all) = (unlike.len(), analysis.passages.len());
-    let what = match count < all {
-        true => format!("passages {} left out of ballast and indicators", unlike.join(", ")),
-        false => "ballast, forces and irregularity mean nothing".into(),
+    let flagged = |flag: &str| -> Vec<String> {
+        let has = |p: &&PassageResult| p.wheelsets.iter().any(|w| w.flags.iter().any(|f| f == flag));
+        analysis.passages.iter().filter(has).map(|p| p.passage_id.to_string()).collect()
     };
-    warn(&format!(
-        "the model does not explain {count} of {all} recordings, flag {UNLIKE_MODEL}: {what}; look at them in the report for spikes, gaps, \
-         drift, interference or another train"
-    ));
+    let (unlike, all) = (flagged(UNLIKE_MODEL), analysis.passages.len());
+    if !unlike.is_empty() {
+        let what = match unlike.len() < all {
+            true => format!("passages {} are left out of ballast and indicators", unlike.join(", ")),
+            false => "ballast, forces and irregularity mean nothing".into(),
+        };
+        warn(&format!(
+            "the model does not explain {} of {all} recordings (flag {UNLIKE_MODEL}): {what}; look at them in the report for spikes, \
+             gaps, drift, interference, a wheel flat or another train",
+            unlike.len()
+        ));
+    }
+    if unlike.len() < all && !flagged(MODEL_GAP).is_empty() {
+        warn(&format!(
+            "the calibrated model leaves more than three times the noise of quiet track (flag {MODEL_GAP}): something acts that it does \
+             not hold, and forces may be wrong by more than their intervals; `cpcm diagnose` may say what"
+        ));
+    }
 }
 
 /// Condition, action and the numbers behind them, for the terminal.

@@ -353,6 +353,10 @@ fn empty_recording() {
 
 #[test]
 fn recording_cut_short() {
+    let cut = |p: &mut Passage| p.acceleration_m_s2.truncate(p.acceleration_m_s2.len() * 7 / 10);
+    value_skipped(cut, &["acceleration_m_s2", "ends under the train", "0.3 s"]);
+    let late = |p: &mut Passage| drop(p.acceleration_m_s2.drain(..p.acceleration_m_s2.len() * 3 / 10));
+    value_skipped(late, &["acceleration_m_s2", "begins under the train"]);
     value_skipped(|p| p.acceleration_m_s2.truncate(4000), &["acceleration_m_s2", "cut short"]);
 }
 

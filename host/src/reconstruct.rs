@@ -156,7 +156,7 @@ fn numerator(ratio: f64) -> usize {
         rest = inverse - digit;
         (last, now) = (now, (digit * now.0 + last.0, digit * now.1 + last.1));
     }
-    now.0.clamp(1.0, 1e6) as usize
+    (now.0.clamp(1.0, 1e6) as usize).max(1)
 }
 
 /// Speed and axle times of one passage.

@@ -410,8 +410,7 @@ mod tests {
         let mut out = QuasiStaticPassage {
             speed_m_s,
             static_force_n: 76e3,
-            duration_s: 1.5,
-            train_s: 2.9 / speed_m_s,
+            search_s: [APPROACH_M / speed_m_s, 1.5 - (2.9 + APPROACH_M) / speed_m_s],
             measured: vec![c64::new(0.0, 0.0); model.frequency_hz.len()],
             pattern: model.frequency_hz.iter().map(|f| axles(*f)).collect(),
         };

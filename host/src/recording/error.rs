@@ -125,6 +125,11 @@ pub enum PassageFault {
          ({nominal} m/s² rms); is it in g? Multiply by 9.81"
     )]
     TooQuiet { noise: f64, nominal: f64 },
+    #[error(
+        "column `acceleration_m_s2`: the recording {end} under the train ({level:.2} m/s² rms there, {quiet:.2} where it is quietest); \
+         record 0.3 s before and after it"
+    )]
+    TrainCut { end: &'static str, level: f64, quiet: f64 },
 
     #[error(
         "column `acceleration_m_s2` never exceeds {peak:.2} m/s²: no train in the recording, a dead sensor, \

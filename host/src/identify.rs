@@ -181,7 +181,7 @@ pub fn identify<'s>(site: &'s Site, progress: &dyn Progress) -> Result<Identifie
         posterior,
         timings,
         misfit,
-    } = known.with_the_others(&used, found)?;
+    } = found;
     Ok(IdentifiedSite {
         site,
         timings,

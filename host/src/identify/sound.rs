@@ -18,8 +18,8 @@ const ROUNDS: usize = 4;
 const LEAST_PASSAGES: usize = 3;
 
 impl Known<'_> {
-    /// Identifies the site, again without the passages that stand out, until none does. Where that would leave fewer than half of
-    /// them, none is left out any more: nobody can tell then which ones are right.
+    /// Identifies the site, again without the passages that stand out, until none does; one that stood out because of another comes
+    /// back. Where fewer than half would be left, none is left out any more: nobody can tell then which ones are right.
     pub(super) fn of_sound_passages(
         &self,
         progress: &dyn Progress,
@@ -28,21 +28,24 @@ impl Known<'_> {
         let mut used: Vec<usize> = (0..all).collect();
         let mut found = self.find(&used, progress)?;
         for _ in 1..ROUNDS {
+            found = self.with_the_others(&used, found)?;
             let stay = staying(&used, &found.misfit);
-            if stay.len() == used.len() || stay.len() < LEAST_PASSAGES || 2 * stay.len() < all {
-                break;
+            if stay == used || stay.len() < LEAST_PASSAGES || 2 * stay.len() < all {
+                return Ok((used, found));
             }
             found = self.find(&stay, progress)?;
             used = stay;
         }
+        let found = self.with_the_others(&used, found)?;
         Ok((used, found))
     }
 }
 
-/// Of the passages used, those that do not stand out.
+/// Passages that do not stand out from those used, by their place in the site.
 fn staying(used: &[usize], misfit: &[f64]) -> Vec<usize> {
-    let limit = ODD * quantile(misfit, 0.5).max(LEAST_MEDIAN);
-    used.iter().zip(misfit).filter(|(_, m)| **m <= limit).map(|(i, _)| *i).collect()
+    let of_used: Vec<f64> = used.iter().map(|i| misfit[*i]).collect();
+    let limit = ODD * quantile(&of_used, 0.5).max(LEAST_MEDIAN);
+    (0..misfit.len()).filter(|i| misfit[*i] <= limit).collect()
 }
 
 #[cfg(test)]
@@ -51,13 +54,15 @@ mod tests {
 
     #[test]
     fn property_what_stands_out_goes() {
-        let used = [0, 2, 3, 7, 8];
-        assert_eq!(staying(&used, &[0.5, 0.4, 1.2, 0.6, 0.5]), used);
-        assert_eq!(staying(&used, &[0.5, 0.4, 36.0, 0.6, f64::NAN]), [0, 2, 7]);
+        let all = [0, 1, 2, 3, 4];
+        assert_eq!(staying(&all, &[0.5, 0.4, 1.2, 0.6, 0.5]), all);
+        assert_eq!(staying(&all, &[0.5, 0.4, 36.0, 0.6, f64::NAN]), [0, 1, 3]);
         // A wide prior makes all of them small.
-        assert_eq!(staying(&used, &[0.01, 0.04, 3.7, 0.02, 0.06]), [0, 2, 7, 8]);
-        assert_eq!(staying(&used, &[0.01, 0.04, 0.6, 0.02, 0.06]), used);
+        assert_eq!(staying(&all, &[0.01, 0.04, 3.7, 0.02, 0.06]), [0, 1, 3, 4]);
+        assert_eq!(staying(&all, &[0.01, 0.04, 0.6, 0.02, 0.06]), all);
         // Where nothing fits, what is least wrong is no yardstick.
-        assert_eq!(staying(&used, &[20.0, 70.0, 30.0, 50.0, 10.0]), used);
+        assert_eq!(staying(&all, &[20.0, 70.0, 30.0, 50.0, 10.0]), all);
+        // One that was left out is judged by the others, and comes back.
+        assert_eq!(staying(&[0, 1, 3], &[0.5, 0.6, 0.7, 0.4, 36.0]), [0, 1, 2, 3]);
     }
 }

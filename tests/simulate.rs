@@ -54,6 +54,29 @@ fn property_simulated_site_is_read_and_analysed_with_true_force_peaks() {
     assert!(score.speed.iter().all(|error| *error < tolerance::SITE_SPEED), "{:?}", score.speed);
 }
 
+/// Trains of 25 and of 45 m/s over the same crossing shared one force, and peaks were 3.7 % wrong with hardly one inside its interval.
+#[test]
+fn regress_trains_of_two_speeds_have_their_own_forces() {
+    let at = |speed_m_s: f64, first_id: i32| {
+        let mut scenario = read_scenario(&example()).unwrap();
+        scenario.simulation.passages = 4;
+        scenario.simulation.speed_m_s = speed_m_s;
+        let mut simulated = simulate(&scenario, &Silent).unwrap();
+        simulated.site.passages.iter_mut().for_each(|p| p.passage_id += first_id);
+        simulated.truth.wheels.iter_mut().for_each(|w| w.passage_id += first_id);
+        simulated
+    };
+    let (mut site, slow) = (at(45.0, 0), at(25.0, 100));
+    site.site.passages.extend(slow.site.passages);
+    site.truth.wheels.extend(slow.truth.wheels);
+    let analysis = analyse(&site.site, &AnalyseOptions::default(), &Silent).unwrap();
+    let score = score(&analysis, &site.truth);
+    let peak = Score::median(&score.peak);
+    println!("median peak error {:.2} %", 100.0 * peak);
+    assert_eq!(score.peak.len(), 8 * 12);
+    assert!(peak < tolerance::PEAK_TWO_SPEEDS, "median peak error {peak}");
+}
+
 /// Four axles stack by chance at 8 m/s, a fifth of their speed, which was taken for two trains of six.
 #[test]
 fn regress_speeds_of_short_trains_are_found() {

@@ -31,6 +31,8 @@ pub const PEAK_MEDIAN: f64 = 0.025;
 pub const PEAK_P90: f64 = 0.05;
 /// Force peak of one recording at two sampling rates, relative: a tenth of the peaks' error, for noise above the band that is no more.
 pub const OTHER_RATE: f64 = 1e-3;
+/// Force peaks of eight simulated trains of two speeds, relative, median: twice what was measured.
+pub const PEAK_TWO_SPEEDS: f64 = 0.01;
 /// Force peak of a recording with more quiet track around the train, relative: bias and noise are those of other samples.
 pub const LONGER_RECORDING: f64 = 2e-3;
 /// Position of the peak, median, m: a shorter distance than a grinder works on.

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use faer::Mat;
 use rayon::prelude::*;
 
-use crate::identify::IdentifiedSite;
+use crate::identify::{ForceClass, IdentifiedSite};
 use crate::inverse::hierarchy::{GroupKind, GroupOffsets, kinds};
 use crate::inverse::train::Train;
 use crate::inverse::{Estimator, Excitation, GroupGeometry, InverseError, Running, TrackModel};
@@ -49,11 +49,14 @@ pub fn all_wheel_forces(
     site: &IdentifiedSite,
     done: &(dyn Fn() + Sync),
 ) -> Result<Vec<Vec<WheelForce>>, InverseError> {
-    let spread = Spread::new(site)?;
+    let spreads: Vec<Spread> =
+        site.classes.iter().map(|class| Spread::new(site, class)).collect::<Result<_, _>>()?;
     (0..site.recordings.len())
         .into_par_iter()
         .map(|i| {
-            let forces = wheel_forces(site, i, &spread);
+            let class = site.class(i);
+            let of_class = site.classes.iter().position(|c| std::ptr::eq(c, class)).unwrap_or(0);
+            let forces = wheel_forces(site, i, &spreads[of_class]);
             done();
             forces
         })
@@ -84,7 +87,7 @@ fn geometry<'k>(site: &IdentifiedSite, kind: &'k GroupKind, index: usize) -> Gro
 fn positions_m(site: &IdentifiedSite, index: usize) -> Vec<f64> {
     let speed = site.timings[index].speed_m_s;
     let rate = site.greens.sampling.rate_hz;
-    crate::greens::moving::own_positions(site.direction, speed, site.prior.half_m, rate).1
+    crate::greens::moving::own_positions(site.direction, speed, site.half_m(), rate).1
 }
 
 /// Forces of the wheelsets of passage `index`.
@@ -97,8 +100,9 @@ pub fn wheel_forces(
     let mut forces = Vec::new();
     let kinds = kinds(&site.pattern);
     let offsets: Vec<&GroupOffsets> = kinds.iter().map(|k| &k.offsets).collect();
-    let train = Train::new(&model(site), &[], running(site, index), &offsets, &site.prior, &site.profile)?;
-    let estimators = Arc::new(train).estimators(&site.prior)?;
+    let class = site.class(index);
+    let train = Train::new(&model(site), &[], running(site, index), &offsets, &class.prior, class.profile())?;
+    let estimators = Arc::new(train).estimators(&class.prior)?;
     for (k, (kind, estimator)) in kinds.iter().zip(&estimators).enumerate() {
         for group in &kind.groups {
             let window = site.window(index, estimator, group.first);
@@ -140,17 +144,19 @@ pub struct Causes {
 }
 
 impl Spread {
-    /// At the passage whose speed is nearest the mean.
-    pub fn new(site: &IdentifiedSite) -> Result<Self, InverseError> {
+    /// Of a class of speeds, at the passage whose speed is nearest their mean.
+    pub fn new(site: &IdentifiedSite, class: &ForceClass) -> Result<Self, InverseError> {
         let speeds: Vec<f64> = site.timings.iter().map(|t| t.speed_m_s).collect();
-        let usual = mean(&speeds);
-        let index = (0..speeds.len())
+        let members: Vec<usize> = (0..speeds.len()).filter(|i| std::ptr::eq(site.class(*i), class)).collect();
+        let usual = mean(&members.iter().map(|i| speeds[*i]).collect::<Vec<_>>());
+        let index = members
+            .into_iter()
             .min_by(|a, b| (speeds[*a] - usual).abs().total_cmp(&(speeds[*b] - usual).abs()))
             .unwrap_or(0);
         let position_m = positions_m(site, index);
         let causes = kinds(&site.pattern)
             .par_iter()
-            .map(|kind| causes_of(site, kind, index, &position_m))
+            .map(|kind| causes_of(site, class, kind, index, &position_m))
             .collect::<Result<_, _>>()?;
         Ok(Self { position_m, causes })
     }
@@ -183,16 +189,17 @@ impl Spread {
 /// position that all passages share, from the calibration.
 fn causes_of(
     site: &IdentifiedSite,
+    class: &ForceClass,
     kind: &GroupKind,
     index: usize,
     position_m: &[f64],
 ) -> Result<Vec<Causes>, InverseError> {
     let geometry = geometry(site, kind, index);
-    let estimator = Estimator::new(&model(site), &geometry, &site.prior, &site.profile)?;
-    let gains = estimator.gains(position_m, LOW_PASS_HZ, &site.profile);
-    let ballast = ballast_sensitivity(site, &geometry, position_m)?;
-    let p = site.profile.value.len();
-    let profile_covariance = site.posterior.covariance.submatrix(0, 0, p, p);
+    let estimator = Estimator::new(&model(site), &geometry, &class.prior, class.profile())?;
+    let gains = estimator.gains(position_m, LOW_PASS_HZ, class.profile());
+    let ballast = ballast_sensitivity(site, class, &geometry, position_m)?;
+    let p = class.profile().value.len();
+    let profile_covariance = class.posterior.covariance.submatrix(0, 0, p, p);
     let known: Mat<f64> = Mat::from_fn(3, 3, |i, j| site.ballast.covariance[i][j]);
     let position_sd_m = site.ballast.shift_sd_m.hypot(LAG_SD_S * site.timings[index].speed_m_s);
     let causes = gains.iter().zip(&ballast).map(|(axle, ballast)| {
@@ -213,20 +220,22 @@ fn causes_of(
 /// puts into all wheels alike, the common profile takes over as well.
 fn ballast_sensitivity(
     site: &IdentifiedSite,
+    class: &ForceClass,
     geometry: &GroupGeometry,
     position_m: &[f64],
 ) -> Result<Vec<Mat<f64>>, InverseError> {
-    let prior = site.prior.with_common_as_own();
+    let prior = class.prior.with_common_as_own();
     let moved =
         site.nearby_greens.each_ref().map(|(greens, _)| TrackModel { greens, excitation: Excitation::Force });
-    let (estimator, expected) = Estimator::with_moved(&model(site), &moved, geometry, &prior, &site.profile)?;
+    let (estimator, expected) =
+        Estimator::with_moved(&model(site), &moved, geometry, &prior, class.profile())?;
     let mut columns: Mat<f64> = Mat::zeros(estimator.len(), 3);
     for (k, (window, (_, step))) in expected.iter().zip(&site.nearby_greens).enumerate() {
         for (i, value) in window.iter().enumerate() {
             columns[(i, k)] = (value - estimator.expected_m_s2[i]) / step;
         }
     }
-    let gains = estimator.gains(position_m, LOW_PASS_HZ, &site.profile);
+    let gains = estimator.gains(position_m, LOW_PASS_HZ, class.profile());
     Ok(gains.iter().map(|axle| -(&axle.gain * &columns)).collect())
 }
 

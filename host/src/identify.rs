@@ -1,5 +1,6 @@
 //! A site from recordings to calibrated model: speeds, ballast, axle times, common force profile.
 
+mod classes;
 mod sound;
 
 use rayon::prelude::*;
@@ -18,6 +19,9 @@ use crate::signal::{mean, quantile};
 use crate::track::{Mesh, Track};
 use crate::vehicle::{AxlePattern, static_wheel_force_n};
 
+use self::classes::{class_of, forces_of_classes};
+
+pub use self::classes::ForceClass;
 pub use self::sound::UNLIKE;
 
 /// Why a site cannot be identified.
@@ -72,16 +76,12 @@ pub struct IdentifiedSite<'s> {
     pub ballast: EvidenceFit,
     /// State of the calibration: ballast, common irregularity, prior at the low sampling.
     pub calibration: Calibration,
-    /// Prior of the forces at the full band.
-    pub prior: Prior,
+    /// Forces that trains of about the same speed share, slowest class first.
+    pub classes: Vec<ForceClass>,
     /// Green's functions of the calibrated track.
     pub greens: GreensFunctions,
     /// The same with each of (ln p1, ln p2, p3) moved by a step.
     pub nearby_greens: [(GreensFunctions, f64); 3],
-    /// Force deviation that all wheels share.
-    pub profile: CommonProfile,
-    /// Posterior at the full band, of the passages in `used`.
-    pub posterior: SitePosterior,
     /// Passages that the site was identified from, by their place in the site.
     pub used: Vec<usize>,
     /// What the model leaves of every passage, squared, per value and in units of what it expects to leave.
@@ -97,10 +97,31 @@ impl IdentifiedSite<'_> {
         2 * count >= self.misfit.len() && explained(index)
     }
 
-    /// Noise that the model needs to explain the recordings, over that of quiet track: what it leaves is more than the sensor's.
-    pub fn excess_noise(&self) -> f64 {
+    /// Class of the trains of a speed.
+    pub fn class_of(&self, speed_m_s: f64) -> &ForceClass {
+        &self.classes[class_of(&self.classes, speed_m_s)]
+    }
+
+    /// Class of a passage.
+    pub fn class(&self, index: usize) -> &ForceClass {
+        self.class_of(self.timings[index].speed_m_s)
+    }
+
+    /// Stretch in which forces deviate from the static one, x in metres; the same for all classes.
+    pub fn region_m(&self) -> [f64; 2] {
+        self.classes[0].prior.region_m
+    }
+
+    /// Forces are unknown while a wheel is this near x = 0, metres; the same for all classes.
+    pub fn half_m(&self) -> f64 {
+        self.classes[0].prior.half_m
+    }
+
+    /// Noise that the model needs to explain recordings like this one, over that of quiet track: what it leaves is more than the
+    /// sensor's.
+    pub fn excess_noise(&self, index: usize) -> f64 {
         let quiet: Vec<f64> = self.used.iter().map(|i| self.recordings[*i].quiet_rms_m_s2).collect();
-        self.prior.noise_m_s2 / quantile(&quiet, 0.5).max(LEAST_NOISE_M_S2)
+        self.class(index).prior.noise_m_s2 / quantile(&quiet, 0.5).max(LEAST_NOISE_M_S2)
     }
 
     /// Window of a passage as an estimator expects it, for the group of axles that begins with axle `first`, m/s².
@@ -122,12 +143,11 @@ impl IdentifiedSite<'_> {
         self.ballast.parameters = ballast;
         (self.greens, self.nearby_greens) = calibrated_greens(&self.track, &ballast);
         let mut passages = some_of(&self.used, &self.recordings, &self.timings, &self.static_force_n);
-        (self.prior, self.posterior) =
-            common_force(&self.greens, self.direction, &self.pattern, &mut passages, progress)?;
+        (self.classes, _) =
+            forces_of_classes(&self.greens, self.direction, &self.pattern, &mut passages, progress)?;
         for (passage, index) in passages.iter().zip(&self.used) {
             self.timings[*index] = passage.timing;
         }
-        self.profile = self.posterior.profile.clone();
         Ok(self)
     }
 }
@@ -171,17 +191,7 @@ pub fn identify<'s>(site: &'s Site, progress: &dyn Progress) -> Result<Identifie
         Known { problem: &problem, recordings: &recordings, speed_m_s, static_force_n: &static_force_n };
     let (used, found) = known.of_sound_passages(progress)?;
     known.check_sign(&found)?;
-    let Found {
-        quasi_static,
-        calibration,
-        ballast,
-        greens,
-        nearby_greens,
-        prior,
-        posterior,
-        timings,
-        misfit,
-    } = found;
+    let Found { quasi_static, calibration, ballast, greens, nearby_greens, classes, timings, misfit } = found;
     Ok(IdentifiedSite {
         site,
         timings,
@@ -189,9 +199,7 @@ pub fn identify<'s>(site: &'s Site, progress: &dyn Progress) -> Result<Identifie
         quasi_static,
         ballast,
         calibration,
-        prior,
-        profile: posterior.profile.clone(),
-        posterior,
+        classes,
         used,
         misfit,
         pattern,
@@ -219,8 +227,7 @@ struct Found {
     ballast: EvidenceFit,
     greens: GreensFunctions,
     nearby_greens: [(GreensFunctions, f64); 3],
-    prior: Prior,
-    posterior: SitePosterior,
+    classes: Vec<ForceClass>,
     timings: Vec<Timing>,
     misfit: Vec<f64>,
 }
@@ -253,20 +260,9 @@ impl Known<'_> {
         let (calibration, ballast) = calibrate(self.problem, &quasi_static, &mut passages, progress)?;
         let EvidenceProblem { track, direction, pattern, .. } = self.problem;
         let (greens, nearby_greens) = calibrated_greens(track, &ballast.parameters);
-        let (prior, posterior) = common_force(&greens, *direction, pattern, &mut passages, progress)?;
+        let (classes, misfit) = forces_of_classes(&greens, *direction, pattern, &mut passages, progress)?;
         let timings = passages.iter().map(|p| p.timing).collect();
-        let misfit = posterior.misfit.clone();
-        Ok(Found {
-            quasi_static,
-            calibration,
-            ballast,
-            greens,
-            nearby_greens,
-            prior,
-            posterior,
-            timings,
-            misfit,
-        })
+        Ok(Found { quasi_static, calibration, ballast, greens, nearby_greens, classes, timings, misfit })
     }
 
     /// Where the model explains next to nothing, it may be the sign.
@@ -294,12 +290,17 @@ impl Known<'_> {
         let mut passages = self.passages(&others, &first_axle_s);
         self.problem.align(&found.calibration, &mut passages)?;
         let EvidenceProblem { direction, pattern, .. } = self.problem;
-        let model = force_model(&found.greens, *direction, pattern, &found.prior, &found.posterior.profile);
-        let followed = model.follow(&passages)?;
-        realign(&mut passages, &followed);
+        let mut misfit = Vec::new();
+        for passage in &mut passages {
+            let class = &found.classes[class_of(&found.classes, passage.timing.speed_m_s)];
+            let model = force_model(&found.greens, *direction, pattern, &class.prior, class.profile());
+            let followed = model.follow(std::slice::from_ref(passage))?;
+            realign(std::slice::from_mut(passage), &followed);
+            misfit.extend(followed.misfit);
+        }
         let timings: Vec<Timing> = passages.iter().map(|p| p.timing).collect();
         let merge = |of_used: &[f64], of_others: &[f64]| merged(used, of_used, &others, of_others);
-        found.misfit = merge(&found.misfit, &followed.misfit);
+        found.misfit = merge(&found.misfit, &misfit);
         found.quasi_static.first_axle_s = merge(&found.quasi_static.first_axle_s, &first_axle_s);
         found.timings = merged(used, &found.timings, &others, &timings);
         Ok(found)

@@ -20,7 +20,7 @@ use crate::forces::LOW_PASS_HZ;
 use crate::greens::{Chain, GreensFunctions, GreensSampling, Quantity};
 use crate::identify::IdentifiedSite;
 use crate::inverse::hierarchy::{GroupKind, kinds};
-use crate::inverse::{Estimator, Excitation, GroupGeometry, InverseError, Prior, Running, TrackModel};
+use crate::inverse::{Estimator, Excitation, GroupGeometry, InverseError, Running, TrackModel};
 use crate::signal::AntiAlias;
 
 /// Why a package cannot be made.
@@ -137,7 +137,7 @@ pub fn package(site: &IdentifiedSite, done: &(dyn Fn() + Sync)) -> Result<Packag
     let kinds = kinds(&site.pattern);
     let greens = node_greens(site);
     let speeds = bin_speeds(&recorded_m_s);
-    let grid = grid(&site.prior);
+    let grid = grid(site.region_m());
     let mut parts: Vec<Vec<Parts>> = speeds
         .par_iter()
         .map(|v| {
@@ -238,9 +238,9 @@ fn bin_speeds(recorded_m_s: &[f64]) -> Vec<f64> {
     (0..=steps).map(|i| slowest * (fastest / slowest).powf(i as f64 / steps as f64)).collect()
 }
 
-fn grid(prior: &Prior) -> Vec<f64> {
-    let count = ((prior.region_m[1] - prior.region_m[0]) / GRID_STEP_M).round() as usize + 1;
-    (0..count).map(|i| prior.region_m[0] + i as f64 * GRID_STEP_M).collect()
+fn grid([low, high]: [f64; 2]) -> Vec<f64> {
+    let count = ((high - low) / GRID_STEP_M).round() as usize + 1;
+    (0..count).map(|i| low + i as f64 * GRID_STEP_M).collect()
 }
 
 /// Matrices of one operator in double precision.
@@ -266,8 +266,9 @@ fn operator(
         train_offset_m: &kind.offsets.train,
     };
     let model = TrackModel { greens, excitation: Excitation::Force };
-    let estimator = Estimator::new(&model, &geometry, &site.prior, &site.profile)?;
-    let gains = estimator.gains(grid_m, LOW_PASS_HZ, &site.profile);
+    let class = site.class_of(speed_m_s);
+    let estimator = Estimator::new(&model, &geometry, &class.prior, class.profile())?;
+    let gains = estimator.gains(grid_m, LOW_PASS_HZ, class.profile());
     let (g, n) = (grid_m.len(), estimator.len());
     let gain = Mat::from_fn(gains.len() * g, n, |i, k| gains[i / g].gain[(i % g, k)]);
     let base: Vec<f64> = gains.iter().flat_map(|a| a.base_n.clone()).collect();
@@ -407,7 +408,9 @@ fn shortened<const N: usize>(text: &str) -> heapless::String<N> {
 
 /// CRC-64 of everything the operators depend on: site description, ballast, prior, profile.
 fn model_hash(site: &IdentifiedSite) -> u64 {
-    let text =
-        format!("{:?}{:?}{:?}{:?}", site.site.crossing, site.ballast.parameters, site.prior, site.profile);
+    let mut text = format!("{:?}{:?}", site.site.crossing, site.ballast.parameters);
+    for class in &site.classes {
+        text.push_str(&format!("{:?}{:?}", class.prior, class.profile()));
+    }
     crc::Crc::<u64>::new(&crc::CRC_64_XZ).checksum(text.as_bytes())
 }

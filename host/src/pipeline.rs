@@ -103,7 +103,7 @@ pub fn evaluate(identified: &IdentifiedSite, progress: &dyn Progress) -> Result<
 }
 
 fn result_grid(identified: &IdentifiedSite) -> Vec<f64> {
-    let [low, high] = identified.prior.region_m;
+    let [low, high] = identified.region_m();
     let count = ((high - low) / GRID_STEP_M).round() as usize + 1;
     (0..count).map(|i| low + i as f64 * GRID_STEP_M).collect()
 }
@@ -116,7 +116,7 @@ fn distribution(identified: &IdentifiedSite) -> Vec<f64> {
 /// Wheels on the calibrated track, at the time step of the forces.
 fn interaction(identified: &IdentifiedSite) -> Interaction {
     let bogie = BogieResponses::new(&identified.site.crossing.vehicle, identified.greens.sampling);
-    Interaction::new(&identified.track, &distribution(identified), &Arc::new(bogie), identified.prior.half_m)
+    Interaction::new(&identified.track, &distribution(identified), &Arc::new(bogie), identified.half_m())
 }
 
 fn displacement_greens(identified: &IdentifiedSite) -> GreensFunctions {
@@ -195,7 +195,7 @@ fn flags(identified: &IdentifiedSite, index: usize, displacement_m: &[f64]) -> V
         vehicle_type: &site.crossing.vehicle.kind,
         axle_load_kg: passage.axle_load_kg,
         vehicle_axle_load_kg: site.crossing.vehicle.axle_load_kg,
-        excess_noise: identified.excess_noise(),
+        excess_noise: identified.excess_noise(index),
         explained: identified.explains(index),
         displacement_m,
     }

@@ -66,7 +66,7 @@ impl<'a> DisplacementChain<'a> {
             &Chain::Corrected,
         )?;
         let rail = RailGreens::of_crossing_rail(track, &distribution, RAIL_HALF_M, RAIL);
-        Ok(Self { identified, greens, rail, region_m: identified.prior.region_m })
+        Ok(Self { identified, greens, rail, region_m: identified.region_m() })
     }
 
     /// The analysis with forces and displacement replaced by those of a chain.

@@ -116,7 +116,8 @@ fn relative(identified: &IdentifiedSite, analysis: &Analysis) -> Result<[f64; 3]
     let wheels = || analysis.passages.iter().flat_map(|p| &p.wheelsets);
     let at_m = quantile(&wheels().map(|w| w.peak_position_m).collect::<Vec<_>>(), 0.5);
     let peak_n = quantile(&wheels().map(|w| w.peak_force_n.value).collect::<Vec<_>>(), 0.5);
-    let spread = Spread::new(identified).map_err(PipelineError::from)?;
+    let usual = quantile(&identified.timings.iter().map(|t| t.speed_m_s).collect::<Vec<_>>(), 0.5);
+    let spread = Spread::new(identified, identified.class_of(usual)).map_err(PipelineError::from)?;
     let of_kinds = kinds(&identified.pattern);
     let axles =
         of_kinds.iter().enumerate().flat_map(|(k, kind)| (0..kind.offsets.own.len()).map(move |a| (k, a)));

@@ -1,11 +1,15 @@
 //! What the diagnosis says of recordings that are poor, mixed, damaged, or clocked wrong.
 
+use std::path::Path;
+
 use cpcm::gap::GapError;
 use cpcm::gap::diagnosis::{DiagnoseOptions, diagnose};
 use cpcm::gap::effect::Stage;
 use cpcm::gap::effects::COMMON;
 use cpcm::gap::verdict::Verdict;
 use cpcm::progress::Silent;
+use cpcm::recording::Site;
+use cpcm::scenario::{read_scenario, simulate};
 use cpcm_tests::diagnosed::{field, full, named, quick, says, small};
 
 #[test]
@@ -149,4 +153,26 @@ fn property_a_silent_site_is_refused() {
     let mut site = small("reference-1", 2);
     site.passages.iter_mut().for_each(|p| p.acceleration_m_s2.fill(0.0));
     assert!(matches!(quick(&site), Err(GapError::Silent)));
+}
+
+/// A simulated site without any effect.
+fn soundly_simulated(speed_m_s: f64, passages: usize) -> Site {
+    let example = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/examples/site.toml");
+    let mut scenario = read_scenario(&example).unwrap();
+    scenario.simulation.speed_m_s = speed_m_s;
+    scenario.simulation.passages = passages;
+    simulate(&scenario, &Silent).unwrap().site
+}
+
+/// Waves of 250 Hz are shorter than two splines of the path where trains run at 28 m/s; hollow wheels were named.
+#[test]
+fn regress_slower_trains_have_no_gap() {
+    let found = full(&soundly_simulated(28.0, 12));
+    assert!(found.effects.is_empty() && found.verdict == Verdict::NoGap, "{:?}", found.remarks);
+}
+
+#[test]
+fn property_very_slow_trains_name_no_effect() {
+    let found = full(&soundly_simulated(20.0, 6));
+    assert!(found.effects.is_empty() && says(&found, "slower than 22 m/s"), "{:?}", found.remarks);
 }

@@ -1,13 +1,14 @@
 //! A site from recordings to calibrated model: speeds, ballast, axle times, common force profile.
 
 mod classes;
+mod known;
 mod sound;
 
 use rayon::prelude::*;
 
 use crate::ballast::BallastParameters;
 use crate::ballast::evidence::{Calibration, DIFFERENCE, EvidenceFit, EvidenceProblem, TEMPERATURE, realign};
-use crate::ballast::quasi_static::{QuasiStatic, QuasiStaticFit};
+use crate::ballast::quasi_static::QuasiStaticFit;
 use crate::greens::{Chain, GreensFunctions, GreensSampling, Quantity};
 use crate::inverse::hierarchy::{SiteModel, SitePassage, SitePosterior};
 use crate::inverse::hyper::{FORCE, refine};
@@ -20,6 +21,8 @@ use crate::track::{Mesh, Track};
 use crate::vehicle::{AxlePattern, static_wheel_force_n};
 
 use self::classes::{class_of, forces_of_classes};
+use self::known::{Found, Known};
+use self::sound::explained;
 
 pub use self::classes::ForceClass;
 pub use self::sound::UNLIKE;
@@ -86,15 +89,13 @@ pub struct IdentifiedSite<'s> {
     pub used: Vec<usize>,
     /// What the model leaves of every passage, squared, per value and in units of what it expects to leave.
     pub misfit: Vec<f64>,
+    explained: Vec<bool>,
 }
 
 impl IdentifiedSite<'_> {
-    /// Whether the model explains a passage: its forces mean something. None does where the model explains less than half of them: what
-    /// little it has left of the others is then no proof of it.
+    /// Whether the model explains a passage: its forces mean something.
     pub fn explains(&self, index: usize) -> bool {
-        let explained = |i: usize| self.used.contains(&i) && self.misfit[i] <= UNLIKE;
-        let count = (0..self.misfit.len()).filter(|i| explained(*i)).count();
-        2 * count >= self.misfit.len() && explained(index)
+        self.explained[index]
     }
 
     /// Class of the trains of a speed.
@@ -152,8 +153,6 @@ impl IdentifiedSite<'_> {
     }
 }
 
-/// Passages used for the search over ballast; all are used for everything else.
-const CALIBRATION_PASSAGES: usize = 8;
 /// Passages used for the hyper-parameters.
 const HYPER_PASSAGES: usize = 3;
 /// Spacing of the common force profile on the two rails, metres: three knots per wavelength of 250 Hz at 30 m/s.
@@ -164,9 +163,6 @@ const SPEED_SD: f64 = 1e-4;
 
 /// Noise at which the search for the prior begins, m/s²: recordings of good sensors seldom want less.
 const LEAST_NOISE_M_S2: f64 = 0.06;
-
-/// Share of the passages in which the sleeper seems to rise from which on the sensor is taken to be upside down.
-const UPSIDE_DOWN: f64 = 0.8;
 
 /// Runs the identification.
 pub fn identify<'s>(site: &'s Site, progress: &dyn Progress) -> Result<IdentifiedSite<'s>, IdentifyError> {
@@ -200,6 +196,7 @@ pub fn identify<'s>(site: &'s Site, progress: &dyn Progress) -> Result<Identifie
         ballast,
         calibration,
         classes,
+        explained: explained(&used, &misfit),
         used,
         misfit,
         pattern,
@@ -210,109 +207,6 @@ pub fn identify<'s>(site: &'s Site, progress: &dyn Progress) -> Result<Identifie
         recordings,
         track,
     })
-}
-
-/// What is known of a site's recordings before the track is.
-struct Known<'a> {
-    problem: &'a EvidenceProblem<'a>,
-    recordings: &'a [Recording],
-    speed_m_s: Vec<f64>,
-    static_force_n: &'a [f64],
-}
-
-/// What some of the passages say of the site; times and misfits are those of these passages.
-struct Found {
-    quasi_static: QuasiStaticFit,
-    calibration: Calibration,
-    ballast: EvidenceFit,
-    greens: GreensFunctions,
-    nearby_greens: [(GreensFunctions, f64); 3],
-    classes: Vec<ForceClass>,
-    timings: Vec<Timing>,
-    misfit: Vec<f64>,
-}
-
-impl Known<'_> {
-    fn quasi_static(&self, which: &[usize]) -> QuasiStatic<'_> {
-        let inputs: Vec<(&Recording, f64, f64)> = which
-            .iter()
-            .map(|i| (&self.recordings[*i], self.speed_m_s[*i], self.static_force_n[*i]))
-            .collect();
-        let EvidenceProblem { track, direction, pattern, .. } = self.problem;
-        QuasiStatic::new(track, *direction, pattern, &inputs)
-    }
-
-    fn passages(&self, which: &[usize], first_axle_s: &[f64]) -> Vec<SitePassage<'_>> {
-        let passage = |(i, time): (&usize, &f64)| SitePassage {
-            recording: &self.recordings[*i],
-            timing: Timing { speed_m_s: self.speed_m_s[*i], first_axle_s: *time },
-            static_force_n: self.static_force_n[*i],
-        };
-        which.iter().zip(first_axle_s).map(passage).collect()
-    }
-
-    /// Identifies the site from some of its passages.
-    fn find(&self, which: &[usize], progress: &dyn Progress) -> Result<Found, IdentifyError> {
-        progress.begin("ballast, quasi-static", 1);
-        let quasi_static = self.quasi_static(which).fit(BallastParameters::NOMINAL);
-        progress.step();
-        let mut passages = self.passages(which, &quasi_static.first_axle_s);
-        let (calibration, ballast) = calibrate(self.problem, &quasi_static, &mut passages, progress)?;
-        let EvidenceProblem { track, direction, pattern, .. } = self.problem;
-        let (greens, nearby_greens) = calibrated_greens(track, &ballast.parameters);
-        let (classes, misfit) = forces_of_classes(&greens, *direction, pattern, &mut passages, progress)?;
-        let timings = passages.iter().map(|p| p.timing).collect();
-        Ok(Found { quasi_static, calibration, ballast, greens, nearby_greens, classes, timings, misfit })
-    }
-
-    /// Where the model explains next to nothing, it may be the sign.
-    fn check_sign(&self, found: &Found) -> Result<(), IdentifyError> {
-        let unlike = found.misfit.iter().filter(|m| **m > UNLIKE).count();
-        if 2 * unlike <= found.misfit.len() {
-            return Ok(());
-        }
-        let passages = self.recordings.len();
-        let all: Vec<usize> = (0..passages).collect();
-        let share = self.quasi_static(&all).rising(&BallastParameters::NOMINAL);
-        if share < UPSIDE_DOWN {
-            return Ok(());
-        }
-        Err(IdentifyError::UpsideDown { rising: (share * passages as f64).round() as usize, passages })
-    }
-
-    /// Times and misfits of all passages: those that were not used follow what the others have found.
-    fn with_the_others(&self, used: &[usize], mut found: Found) -> Result<Found, IdentifyError> {
-        let others: Vec<usize> = (0..self.recordings.len()).filter(|i| !used.contains(i)).collect();
-        if others.is_empty() {
-            return Ok(found);
-        }
-        let first_axle_s = self.quasi_static(&others).align(&found.ballast.parameters);
-        let mut passages = self.passages(&others, &first_axle_s);
-        self.problem.align(&found.calibration, &mut passages)?;
-        let EvidenceProblem { direction, pattern, .. } = self.problem;
-        let mut misfit = Vec::new();
-        for passage in &mut passages {
-            let class = &found.classes[class_of(&found.classes, passage.timing.speed_m_s)];
-            let model = force_model(&found.greens, *direction, pattern, &class.prior, class.profile());
-            let followed = model.follow(std::slice::from_ref(passage))?;
-            realign(std::slice::from_mut(passage), &followed);
-            misfit.extend(followed.misfit);
-        }
-        let timings: Vec<Timing> = passages.iter().map(|p| p.timing).collect();
-        let merge = |of_used: &[f64], of_others: &[f64]| merged(used, of_used, &others, of_others);
-        found.misfit = merge(&found.misfit, &misfit);
-        found.quasi_static.first_axle_s = merge(&found.quasi_static.first_axle_s, &first_axle_s);
-        found.timings = merged(used, &found.timings, &others, &timings);
-        Ok(found)
-    }
-}
-
-/// Values of some passages and of the others, in the order of the site.
-fn merged<T: Copy>(some: &[usize], of_some: &[T], others: &[usize], of_others: &[T]) -> Vec<T> {
-    let mut all: Vec<(usize, T)> =
-        some.iter().chain(others).copied().zip(of_some.iter().chain(of_others).copied()).collect();
-    all.sort_by_key(|(i, _)| *i);
-    all.into_iter().map(|(_, value)| value).collect()
 }
 
 fn some_of<'r>(
@@ -376,28 +270,6 @@ fn speeds(
 /// Every n-th passage, `count` of them or a few less.
 fn spread_out<'p>(passages: &[SitePassage<'p>], count: usize) -> Vec<SitePassage<'p>> {
     passages.iter().step_by(passages.len().div_ceil(count).max(1)).copied().collect()
-}
-
-fn calibrate(
-    problem: &EvidenceProblem,
-    quasi_static: &QuasiStaticFit,
-    passages: &mut [SitePassage],
-    progress: &dyn Progress,
-) -> Result<(Calibration, EvidenceFit), IdentifyError> {
-    progress.begin("ballast by evidence", 4);
-    let mut state = Calibration::starting(quasi_static.start_of_evidence(), problem.direction);
-    let mut some = spread_out(passages, CALIBRATION_PASSAGES);
-    problem.converge(&mut state, &mut some, 3)?;
-    progress.step();
-    state.prior = problem.refined(&state, &spread_out(&some, HYPER_PASSAGES))?;
-    progress.step();
-    problem.converge(&mut state, &mut some, 10)?;
-    progress.step();
-    // Axle times first: they are far off where the search has not used a passage, and cheap without the derivatives.
-    problem.align(&state, passages)?;
-    let fit = problem.finish(&mut state, passages)?;
-    progress.step();
-    Ok((state, fit))
 }
 
 /// Model of the forces at the full band.

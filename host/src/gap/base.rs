@@ -26,6 +26,9 @@ const HALF_M: f64 = 3.4;
 const STEP_M: [f64; 2] = [0.055, 0.11];
 /// Trains slower than this want finer splines, m/s: at 250 Hz, theirs are shorter waves.
 const SLOW_M_S: f64 = 30.0;
+/// Trains slower than this feel waves so short, m/s, that wheels differ by more of them than the model holds: hollow wheels were named on
+/// sites of 20 to 23 m/s without any effect, none on those of 24 m/s and more.
+pub const LEAST_SPEED_M_S: f64 = 22.0;
 /// Speed at which a wave of 250 Hz has 3.3 splines at the usual spacing, m/s; as many at any speed below [`SLOW_M_S`].
 const SPACED_FOR_M_S: f64 = 45.0;
 /// A scan is continued to zero over this length, metres.
@@ -149,7 +152,7 @@ fn check_rates(site: &Site) -> Result<(), GapError> {
 /// 2.2 splines per wave, want no more.
 fn path_steps_m(observed: &[Observed]) -> [f64; 2] {
     let slowest = observed.iter().map(|o| o.speed_m_s).fold(f64::INFINITY, f64::min);
-    let finer = if slowest < SLOW_M_S { slowest / SPACED_FOR_M_S } else { 1.0 };
+    let finer = if slowest < SLOW_M_S { slowest.max(LEAST_SPEED_M_S) / SPACED_FOR_M_S } else { 1.0 };
     STEP_M.map(|step| step * finer)
 }
 

@@ -1,6 +1,7 @@
 //! Which passages a site is identified from: one with a spike, a gap or half a train in it spoils ballast and forces of all others.
 
-use super::{Found, IdentifyError, Known};
+use super::IdentifyError;
+use super::known::{Found, Known};
 use crate::progress::Progress;
 use crate::signal::quantile;
 
@@ -48,9 +49,25 @@ fn staying(used: &[usize], misfit: &[f64]) -> Vec<usize> {
     (0..misfit.len()).filter(|i| misfit[*i] <= limit).collect()
 }
 
+/// Which passages the model explains. None where it explains less than half of them: what little it has left of the others is then no
+/// proof of it.
+pub(super) fn explained(used: &[usize], misfit: &[f64]) -> Vec<bool> {
+    let mut explained = vec![false; misfit.len()];
+    used.iter().for_each(|i| explained[*i] = misfit[*i] <= UNLIKE);
+    let count = explained.iter().filter(|e| **e).count();
+    if 2 * count < misfit.len() { vec![false; misfit.len()] } else { explained }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn property_less_than_half_is_nothing() {
+        assert_eq!(explained(&[0, 1, 3], &[0.5, 3.5, 0.4, 2.0]), [true, false, false, true]);
+        assert_eq!(explained(&[0, 1, 3], &[0.5, 3.5, 0.4, 9.0]), [false; 4]);
+        assert!(explained(&[], &[]).is_empty());
+    }
 
     #[test]
     fn property_what_stands_out_goes() {

@@ -2,7 +2,7 @@
 
 use super::{PATH_PRIOR, Session};
 use crate::gap::GapError;
-use crate::gap::base::{Base, base};
+use crate::gap::base::{Base, LEAST_SPEED_M_S, base};
 use crate::gap::consistency::Strangers;
 use crate::gap::data::energies;
 use crate::gap::fit::simulate;
@@ -12,9 +12,6 @@ use crate::recording::Site;
 
 /// Passages needed to look for an effect.
 const LEAST_PASSAGES: usize = 4;
-/// Trains slower than this feel waves so short, m/s, that wheels differ by more of them than the model holds: hollow wheels were named on
-/// sites of 20 to 23 m/s without any effect, none on those of 24 m/s and more.
-const LEAST_SPEED_M_S: f64 = 22.0;
 /// A scan is another crossing's when more than this part of the residual's energy is common to all wheels, when the path
 /// that fits instead differs from it by this part of its own energy, and when that leaves less than this of the common part.
 const FOREIGN_SCAN: (f64, f64, f64) = (0.7, 0.3, 0.5);

@@ -77,7 +77,7 @@ fn of_ballast(group: &mut Stages, identified: &IdentifiedSite) {
 
 /// One passage of the identified site.
 fn of_passage(group: &mut Stages, identified: &IdentifiedSite) {
-    let spread = Spread::new(identified).unwrap();
+    let spread = Spread::new(identified, identified.class(3)).unwrap();
     group.bench_function("inverse of one passage, 12 wheelsets", |b| {
         b.iter(|| wheel_forces(identified, black_box(3), &spread).unwrap())
     });
@@ -85,7 +85,7 @@ fn of_passage(group: &mut Stages, identified: &IdentifiedSite) {
         .ballast
         .parameters
         .distribution(identified.track.sleeper_x_m.len(), identified.track.sensor_sleeper);
-    let half_m = identified.prior.half_m;
+    let half_m = identified.half_m();
     let rail = RailGreens::of_crossing_rail(&identified.track, &bed, half_m, identified.greens.sampling);
     let force = &wheel_forces(identified, 3, &spread).unwrap()[0];
     let grid: Vec<f64> = (0..240).map(|i| -0.9 + 0.01 * f64::from(i)).collect();

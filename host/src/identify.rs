@@ -98,6 +98,11 @@ impl IdentifiedSite<'_> {
         self.explained[index]
     }
 
+    /// Static wheel force of the usual passage, newtons: a node does not know the load of the next train.
+    pub fn usual_force_n(&self) -> f64 {
+        quantile(&self.static_force_n, 0.5)
+    }
+
     /// Class of the trains of a speed.
     pub fn class_of(&self, speed_m_s: f64) -> &ForceClass {
         &self.classes[class_of(&self.classes, speed_m_s)]

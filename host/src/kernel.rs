@@ -261,7 +261,7 @@ fn operator(
     grid_m: &[f64],
 ) -> Result<Parts, InverseError> {
     let geometry = GroupGeometry {
-        running: Running { direction: site.direction, speed_m_s, static_force_n: site.static_force_n[0] },
+        running: Running { direction: site.direction, speed_m_s, static_force_n: site.usual_force_n() },
         axle_offset_m: &kind.offsets.own,
         train_offset_m: &kind.offsets.train,
     };
@@ -380,7 +380,7 @@ fn header(site: &IdentifiedSite, kinds: &[GroupKind], grid_m: &[f64]) -> Result<
         train: Train {
             name: shortened(&crossing.vehicle.kind),
             axle_offset_m,
-            static_force_n: site.static_force_n[0] as f32,
+            static_force_n: site.usual_force_n() as f32,
             groups,
         },
         grid_first_m: grid_m[0] as f32,

@@ -91,7 +91,7 @@ pub fn evaluate(identified: &IdentifiedSite, progress: &dyn Progress) -> Result<
             passage_result(identified, i, &forces[i], &interaction, &displacement_greens, &grid)
         })
         .collect();
-    let indicators = indicators(&passages, &grid, identified.static_force_n[0]);
+    let indicators = indicators(&passages, &grid, identified.usual_force_n());
     Ok(Analysis {
         crossing: site.crossing.clone(),
         scan: site.scan.as_ref().map(|s| banded_scan(s, identified)),

@@ -81,6 +81,17 @@ fn property_a_sensor_upside_down_is_named() {
     );
 }
 
+/// Thirty-two axles in a row took 12 GB, and then a panic.
+#[test]
+fn regress_rows_of_axles_that_need_too_much_memory_are_refused() {
+    let mut site = site(2);
+    let vehicle = &mut site.crossing.vehicle;
+    (vehicle.cars, vehicle.car_length_m, vehicle.bogie_centres_m) = (8, 14.0, 8.0);
+    let error = analyse(&site, &AnalyseOptions::default(), &Silent).unwrap_err();
+    let refused = matches!(error, PipelineError::Identify(IdentifyError::LongWindow { axles: 32, .. }));
+    assert!(refused, "{error}");
+}
+
 /// Quiet track before and after the train, as a recorder with a long pre-trigger gives: trains were found two seconds off.
 #[test]
 fn regress_long_recordings_give_the_same_forces() {

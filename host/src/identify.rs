@@ -18,7 +18,7 @@ use crate::reconstruct::{Recording, SPEEDS_M_S, SpeedSearch, Timing, comb, estim
 use crate::recording::Site;
 use crate::signal::{mean, quantile};
 use crate::track::{Mesh, Track};
-use crate::vehicle::{AxlePattern, static_wheel_force_n};
+use crate::vehicle::{AxleGroup, AxlePattern, static_wheel_force_n};
 
 use self::classes::{class_of, forces_of_classes};
 use self::known::{Found, Known};
@@ -38,6 +38,23 @@ pub enum IdentifyError {
     Silent {
         /// Which recording.
         passage_id: i32,
+    },
+    /// Axles that follow one another closely are estimated together, and memory grows with the square of their window.
+    #[error(
+        "passage {passage_id}: {axles} axles less than 10 m apart at {speed_m_s:.1} m/s want a window of {samples} samples, {limit} at \
+         most; leave such trains out"
+    )]
+    LongWindow {
+        /// Which recording.
+        passage_id: i32,
+        /// Axles of the longest row.
+        axles: usize,
+        /// Speed of the train, m/s.
+        speed_m_s: f64,
+        /// Samples of their window.
+        samples: usize,
+        /// Most that are allowed.
+        limit: usize,
     },
     /// The sensor is mounted upside down, or the recorder's sign is not that of the format.
     #[error(
@@ -169,6 +186,33 @@ const SPEED_SD: f64 = 1e-4;
 /// Noise at which the search for the prior begins, m/s²: recordings of good sensors seldom want less.
 const LEAST_NOISE_M_S2: f64 = 0.06;
 
+/// Longest window, samples; one of 1050 takes 1.6 GB on two cores, and memory grows with the square.
+const MOST_SAMPLES: usize = 1800;
+
+/// Refuses trains whose windows would not fit into memory.
+fn check_windows(
+    site: &Site,
+    pattern: &AxlePattern,
+    prior: &Prior,
+    speed_m_s: &[f64],
+) -> Result<(), IdentifyError> {
+    let length_m = |g: &AxleGroup| pattern.offset_m[g.first + g.len - 1] - pattern.offset_m[g.first];
+    let groups = pattern.groups();
+    let Some(longest) = groups.iter().max_by(|a, b| length_m(a).total_cmp(&length_m(b))) else {
+        return Ok(());
+    };
+    let rate_hz = GreensSampling::wide().rate_hz;
+    for (passage, speed) in site.passages.iter().zip(speed_m_s) {
+        let samples = ((length_m(longest) + 2.0 * prior.window_m) / speed * rate_hz) as usize;
+        if samples > MOST_SAMPLES {
+            let (passage_id, axles, speed_m_s, limit) =
+                (passage.passage_id, longest.len, *speed, MOST_SAMPLES);
+            return Err(IdentifyError::LongWindow { passage_id, axles, speed_m_s, samples, limit });
+        }
+    }
+    Ok(())
+}
+
 /// Runs the identification.
 pub fn identify<'s>(site: &'s Site, progress: &dyn Progress) -> Result<IdentifiedSite<'s>, IdentifyError> {
     let crossing = &site.crossing;
@@ -182,6 +226,7 @@ pub fn identify<'s>(site: &'s Site, progress: &dyn Progress) -> Result<Identifie
     let recordings: Vec<Recording> =
         site.passages.par_iter().map(|p| Recording::new(p, &crossing.sensor)).collect();
     let speed_m_s = speeds(site, &recordings, &pattern, progress)?;
+    check_windows(site, &pattern, &Prior::common_force(direction), &speed_m_s)?;
     let static_force_n: Vec<f64> = site
         .passages
         .iter()

@@ -353,9 +353,20 @@ fn empty_recording() {
 
 #[test]
 fn recording_cut_short() {
-    let cut = |p: &mut Passage| p.acceleration_m_s2.truncate(p.acceleration_m_s2.len() * 7 / 10);
+    // 20 ms on both sides of the hardest impact in a stretch of the recording.
+    let loudest = |p: &Passage, [from, to]: [usize; 2]| {
+        let (level, len) = (|i: &usize| p.acceleration_m_s2[*i].abs(), p.acceleration_m_s2.len());
+        (from * len / 4..to * len / 4).max_by(|a, b| level(a).total_cmp(&level(b))).unwrap()
+    };
+    let cut = |p: &mut Passage| {
+        p.speed_m_s = None;
+        p.acceleration_m_s2.truncate(loudest(p, [2, 4]) + 80);
+    };
     value_skipped(cut, &["acceleration_m_s2", "ends under the train", "0.3 s"]);
-    let late = |p: &mut Passage| drop(p.acceleration_m_s2.drain(..p.acceleration_m_s2.len() * 3 / 10));
+    let late = |p: &mut Passage| {
+        p.speed_m_s = None;
+        drop(p.acceleration_m_s2.drain(..loudest(p, [0, 2]) - 80));
+    };
     value_skipped(late, &["acceleration_m_s2", "begins under the train"]);
     value_skipped(|p| p.acceleration_m_s2.truncate(4000), &["acceleration_m_s2", "cut short"]);
 }

@@ -77,7 +77,7 @@ fn of_ballast(group: &mut Stages, identified: &IdentifiedSite) {
 
 /// One passage of the identified site.
 fn of_passage(group: &mut Stages, identified: &IdentifiedSite) {
-    let spread = Spread::new(identified, identified.class(3)).unwrap();
+    let spread = Spread::new(identified, identified.class_of_passage(3)).unwrap();
     group.bench_function("inverse of one passage, 12 wheelsets", |b| {
         b.iter(|| wheel_forces(identified, black_box(3), &spread).unwrap())
     });

@@ -24,8 +24,7 @@ fn analysed(site: &Site) -> Analysis {
 
 /// Passages with a flag, by their place in the site.
 fn flagged(analysis: &Analysis, flag: &str) -> Vec<usize> {
-    let has = |i: &usize| analysis.passages[*i].wheelsets.iter().any(|w| w.flags.iter().any(|f| f == flag));
-    (0..analysis.passages.len()).filter(has).collect()
+    (0..analysis.passages.len()).filter(|i| analysis.passages[*i].has_flag(flag)).collect()
 }
 
 fn with_spikes(samples: &mut [f32]) {

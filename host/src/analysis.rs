@@ -21,6 +21,14 @@ pub struct Analysis {
     pub skipped: Vec<Skipped>,
 }
 
+impl Analysis {
+    /// Passages that the model explains and that are not, those left out before included.
+    pub fn used_and_left_out(&self) -> (usize, usize) {
+        let used = self.passages.iter().filter(|p| p.explained()).count();
+        (used, self.passages.len() - used + self.skipped.len())
+    }
+}
+
 /// A value with its 90 % interval.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[allow(missing_docs)]
@@ -71,7 +79,12 @@ pub struct PassageResult {
 impl PassageResult {
     /// Whether the calibrated model explains the recording; if not, its forces mean nothing.
     pub fn explained(&self) -> bool {
-        !self.wheelsets.iter().any(|w| w.flags.iter().any(|f| f == UNLIKE_MODEL))
+        !self.has_flag(UNLIKE_MODEL)
+    }
+
+    /// Whether a wheelset has a flag.
+    pub fn has_flag(&self, flag: &str) -> bool {
+        self.wheelsets.iter().any(|w| w.flags.iter().any(|f| f == flag))
     }
 }
 

@@ -50,13 +50,11 @@ pub fn all_wheel_forces(
     done: &(dyn Fn() + Sync),
 ) -> Result<Vec<Vec<WheelForce>>, InverseError> {
     let spreads: Vec<Spread> =
-        site.classes.iter().map(|class| Spread::new(site, class)).collect::<Result<_, _>>()?;
+        (0..site.classes.len()).map(|class| Spread::new(site, class)).collect::<Result<_, _>>()?;
     (0..site.recordings.len())
         .into_par_iter()
         .map(|i| {
-            let class = site.class(i);
-            let of_class = site.classes.iter().position(|c| std::ptr::eq(c, class)).unwrap_or(0);
-            let forces = wheel_forces(site, i, &spreads[of_class]);
+            let forces = wheel_forces(site, i, &spreads[site.class_of_passage(i)]);
             done();
             forces
         })
@@ -100,7 +98,7 @@ pub fn wheel_forces(
     let mut forces = Vec::new();
     let kinds = kinds(&site.pattern);
     let offsets: Vec<&GroupOffsets> = kinds.iter().map(|k| &k.offsets).collect();
-    let class = site.class(index);
+    let class = &site.classes[site.class_of_passage(index)];
     let train = Train::new(&model(site), &[], running(site, index), &offsets, &class.prior, class.profile())?;
     let estimators = Arc::new(train).estimators(&class.prior)?;
     for (k, (kind, estimator)) in kinds.iter().zip(&estimators).enumerate() {
@@ -144,10 +142,10 @@ pub struct Causes {
 }
 
 impl Spread {
-    /// Of a class of speeds, at the passage whose speed is nearest their mean.
-    pub fn new(site: &IdentifiedSite, class: &ForceClass) -> Result<Self, InverseError> {
+    /// Of a class of speeds, by its number, at the passage whose speed is nearest their mean.
+    pub fn new(site: &IdentifiedSite, class: usize) -> Result<Self, InverseError> {
         let speeds: Vec<f64> = site.timings.iter().map(|t| t.speed_m_s).collect();
-        let members: Vec<usize> = (0..speeds.len()).filter(|i| std::ptr::eq(site.class(*i), class)).collect();
+        let members: Vec<usize> = (0..speeds.len()).filter(|i| site.class_of_passage(*i) == class).collect();
         let usual = mean(&members.iter().map(|i| speeds[*i]).collect::<Vec<_>>());
         let index = members
             .into_iter()
@@ -156,7 +154,7 @@ impl Spread {
         let position_m = positions_m(site, index);
         let causes = kinds(&site.pattern)
             .par_iter()
-            .map(|kind| causes_of(site, class, kind, index, &position_m))
+            .map(|kind| causes_of(site, &site.classes[class], kind, index, &position_m))
             .collect::<Result<_, _>>()?;
         Ok(Self { position_m, causes })
     }

@@ -107,6 +107,8 @@ pub struct IdentifiedSite<'s> {
     /// What the model leaves of every passage, squared, per value and in units of what it expects to leave.
     pub misfit: Vec<f64>,
     explained: Vec<bool>,
+    /// Median noise of quiet track, RMS, m/s².
+    quiet_m_s2: f64,
 }
 
 impl IdentifiedSite<'_> {
@@ -120,13 +122,13 @@ impl IdentifiedSite<'_> {
         quantile(&self.static_force_n, 0.5)
     }
 
-    /// Class of the trains of a speed.
-    pub fn class_of(&self, speed_m_s: f64) -> &ForceClass {
-        &self.classes[class_of(&self.classes, speed_m_s)]
+    /// Number of the class of a speed.
+    pub fn class_of(&self, speed_m_s: f64) -> usize {
+        class_of(&self.classes, speed_m_s)
     }
 
-    /// Class of a passage.
-    pub fn class(&self, index: usize) -> &ForceClass {
+    /// Number of a passage's class.
+    pub fn class_of_passage(&self, index: usize) -> usize {
         self.class_of(self.timings[index].speed_m_s)
     }
 
@@ -143,8 +145,9 @@ impl IdentifiedSite<'_> {
     /// Noise that the model needs to explain recordings like this one, over that of quiet track: what it leaves is more than the
     /// sensor's.
     pub fn excess_noise(&self, index: usize) -> f64 {
-        let quiet: Vec<f64> = self.used.iter().map(|i| self.recordings[*i].quiet_rms_m_s2).collect();
-        self.class(index).prior.noise_m_s2 / quantile(&quiet, 0.5).max(LEAST_NOISE_M_S2)
+        let prior = &self.classes[self.class_of_passage(index)].prior;
+        // Recordings of good sensors seldom want less noise than the search for the prior begins with.
+        prior.noise_m_s2 / self.quiet_m_s2.max(Prior::common_force(self.direction).noise_m_s2)
     }
 
     /// Window of a passage as an estimator expects it, for the group of axles that begins with axle `first`, m/s².
@@ -165,7 +168,8 @@ impl IdentifiedSite<'_> {
     ) -> Result<Self, IdentifyError> {
         self.ballast.parameters = ballast;
         (self.greens, self.nearby_greens) = calibrated_greens(&self.track, &ballast);
-        let mut passages = some_of(&self.used, &self.recordings, &self.timings, &self.static_force_n);
+        let timings: Vec<Timing> = self.used.iter().map(|i| self.timings[*i]).collect();
+        let mut passages = some_of(&self.used, &timings, &self.recordings, &self.static_force_n);
         (self.classes, _) =
             forces_of_classes(&self.greens, self.direction, &self.pattern, &mut passages, progress)?;
         for (passage, index) in passages.iter().zip(&self.used) {
@@ -182,9 +186,6 @@ const PROFILE_STEP_M: (f64, f64) = (0.04, 0.064);
 /// Position uncertainty left after the calibration, metres: common and per passage; relative error of the speed.
 const SHIFT_SD_M: (f64, f64) = (0.0003, 0.001);
 const SPEED_SD: f64 = 1e-4;
-
-/// Noise at which the search for the prior begins, m/s²: recordings of good sensors seldom want less.
-const LEAST_NOISE_M_S2: f64 = 0.06;
 
 /// Longest window, samples; one of 1050 takes 1.6 GB on two cores, and memory grows with the square.
 const MOST_SAMPLES: usize = 1800;
@@ -238,6 +239,7 @@ pub fn identify<'s>(site: &'s Site, progress: &dyn Progress) -> Result<Identifie
     let (used, found) = known.of_sound_passages(progress)?;
     known.check_sign(&found)?;
     let Found { quasi_static, calibration, ballast, greens, nearby_greens, classes, timings, misfit } = found;
+    let quiet: Vec<f64> = used.iter().map(|i| recordings[*i].quiet_rms_m_s2).collect();
     Ok(IdentifiedSite {
         site,
         timings,
@@ -247,6 +249,7 @@ pub fn identify<'s>(site: &'s Site, progress: &dyn Progress) -> Result<Identifie
         calibration,
         classes,
         explained: explained(&used, &misfit),
+        quiet_m_s2: quantile(&quiet, 0.5),
         used,
         misfit,
         pattern,
@@ -259,18 +262,19 @@ pub fn identify<'s>(site: &'s Site, progress: &dyn Progress) -> Result<Identifie
     })
 }
 
+/// Some passages of a site, with a timing each.
 fn some_of<'r>(
     which: &[usize],
-    recordings: &'r [Recording],
     timings: &[Timing],
+    recordings: &'r [Recording],
     static_force_n: &[f64],
 ) -> Vec<SitePassage<'r>> {
-    let passage = |i: &usize| SitePassage {
+    let passage = |(i, timing): (&usize, &Timing)| SitePassage {
         recording: &recordings[*i],
-        timing: timings[*i],
+        timing: *timing,
         static_force_n: static_force_n[*i],
     };
-    which.iter().map(passage).collect()
+    which.iter().zip(timings).map(passage).collect()
 }
 
 /// Green's functions on a ballast, and on ballast with each of (ln p1, ln p2, p3) moved by a step.

@@ -29,10 +29,11 @@ pub fn indicators(passages: &[PassageResult], position_m: &[f64], static_force_n
     let rms: Vec<f64> = wheels.iter().map(|w| w.irregularity_rms_m).collect();
     let peak_force_n = spread(&peaks, PEAK_RATIO_THRESHOLD * static_force_n);
     let irregularity_rms_m = spread(&rms, IRREGULARITY_RMS_THRESHOLD_M);
-    let condition = condition(&peak_force_n, &irregularity_rms_m);
-    let (condition, (urgency, recommended_action)) = match explained {
-        0 if !passages.is_empty() => (Condition::Watch, UNEXPLAINED),
-        _ => (condition, advice(condition, &peak_force_n, &irregularity_rms_m)),
+    let (condition, (urgency, recommended_action)) = if explained == 0 && !passages.is_empty() {
+        (Condition::Watch, UNEXPLAINED)
+    } else {
+        let condition = condition(&peak_force_n, &irregularity_rms_m);
+        (condition, advice(condition, &peak_force_n, &irregularity_rms_m))
     };
     Indicators {
         peak_force_n,

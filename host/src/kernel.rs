@@ -266,7 +266,7 @@ fn operator(
         train_offset_m: &kind.offsets.train,
     };
     let model = TrackModel { greens, excitation: Excitation::Force };
-    let class = site.class_of(speed_m_s);
+    let class = &site.classes[site.class_of(speed_m_s)];
     let estimator = Estimator::new(&model, &geometry, &class.prior, class.profile())?;
     let gains = estimator.gains(grid_m, LOW_PASS_HZ, class.profile());
     let (g, n) = (grid_m.len(), estimator.len());

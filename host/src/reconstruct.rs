@@ -198,17 +198,7 @@ mod tests {
             noise_rms_m_s2: 0.0,
             bias_max_m_s2: 0.0,
         };
-        let sample = |k: usize| burst(k as f64 / sample_rate_hz) as f32;
-        let passage = Passage {
-            passage_id: 1,
-            train_type: String::new(),
-            axle_load_kg: 16e3,
-            speed_m_s: None,
-            temperature_c: 20.0,
-            sample_rate_hz,
-            acceleration_m_s2: (0..(1.7 * sample_rate_hz) as usize).map(sample).collect(),
-        };
-        Recording::new(&passage, &sensor)
+        Recording::new(&Passage::of_function(sample_rate_hz, 1.7, burst), &sensor)
     }
 
     /// At 2 and 10 kHz, windows of 800 Hz were cut at 667 and 769 Hz, and forces were 40 to 60 % wrong without a word.

@@ -54,6 +54,23 @@ pub struct Passage {
     pub acceleration_m_s2: Vec<f32>,
 }
 
+#[cfg(test)]
+impl Passage {
+    /// A function of time, in seconds, recorded for `duration_s`, of a train of which nothing is stated.
+    pub(crate) fn of_function(sample_rate_hz: f64, duration_s: f64, value_m_s2: impl Fn(f64) -> f64) -> Self {
+        let sample = |k: usize| value_m_s2(k as f64 / sample_rate_hz) as f32;
+        Self {
+            passage_id: 1,
+            train_type: String::new(),
+            axle_load_kg: 16e3,
+            speed_m_s: None,
+            temperature_c: 20.0,
+            sample_rate_hz,
+            acceleration_m_s2: (0..(duration_s * sample_rate_hz) as usize).map(sample).collect(),
+        }
+    }
+}
+
 /// Vertical path of a nominal wheel over the crossing, relative to the undeformed running plane.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Scan {

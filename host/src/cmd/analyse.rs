@@ -7,7 +7,7 @@ use clap::Args;
 
 use super::output::{print, warn, warn_skipped, with_effects};
 use super::progress::Bar;
-use crate::analysis::{Analysis, Condition, PassageResult};
+use crate::analysis::{Analysis, Condition};
 use crate::limits::{MODEL_GAP, UNLIKE_MODEL};
 use crate::pipeline::{self, AnalyseOptions};
 use crate::recording::read_site;
@@ -54,8 +54,8 @@ impl AnalyseArgs {
 /// Says on standard error what the model does not explain.
 fn warn_unexplained(analysis: &Analysis) {
     let flagged = |flag: &str| -> Vec<String> {
-        let has = |p: &&PassageResult| p.wheelsets.iter().any(|w| w.flags.iter().any(|f| f == flag));
-        analysis.passages.iter().filter(has).map(|p| p.passage_id.to_string()).collect()
+        let flagged = analysis.passages.iter().filter(|p| p.has_flag(flag));
+        flagged.map(|p| p.passage_id.to_string()).collect()
     };
     let (unlike, all) = (flagged(UNLIKE_MODEL), analysis.passages.len());
     if !unlike.is_empty() {
@@ -85,7 +85,7 @@ pub(super) fn summary(analysis: &Analysis) -> String {
         Condition::Watch => "watch",
         Condition::Damaged => "damaged",
     };
-    let used = analysis.passages.iter().filter(|p| p.explained()).count();
+    let (used, left_out) = analysis.used_and_left_out();
     let (f, r, b) = (i.peak_force_n, i.irregularity_rms_m, &analysis.ballast);
     format!(
         "site          {}\ncondition     {condition}\nurgency       {}\naction        {}\n\
@@ -109,6 +109,6 @@ pub(super) fn summary(analysis: &Analysis) -> String {
         1e-6 * b.p2_n_m2.upper,
         1e-6 * b.p1_n_m2.value,
         used,
-        analysis.passages.len() - used + analysis.skipped.len(),
+        left_out,
     )
 }

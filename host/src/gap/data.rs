@@ -250,16 +250,7 @@ mod tests {
         let (f_hz, late_s) = (RATE_HZ / 3.5, 0.5 / RATE_HZ);
         let wave = |t: f64| 100.0 * (-(t / 0.01).powi(2)).exp() * (std::f64::consts::TAU * f_hz * t).sin();
         let rate = sensor.sample_rate_hz;
-        let recorded = |k: usize| wave(k as f64 / rate - 1.0 - late_s) as f32;
-        let passage = Passage {
-            passage_id: 1,
-            train_type: String::new(),
-            axle_load_kg: 16e3,
-            speed_m_s: None,
-            temperature_c: 20.0,
-            sample_rate_hz: rate,
-            acceleration_m_s2: (0..2 * rate as usize).map(recorded).collect(),
-        };
+        let passage = Passage::of_function(rate, 2.0, |t| wave(t - 1.0 - late_s));
         let mut observed = Observed {
             passage_id: 1,
             recording: Recording::new(&passage, &sensor),

@@ -2,7 +2,7 @@
 
 use super::classes::{ForceClass, class_of, forces_of_classes};
 use super::sound::UNLIKE;
-use super::{HYPER_PASSAGES, IdentifyError, calibrated_greens, force_model, spread_out};
+use super::{HYPER_PASSAGES, IdentifyError, calibrated_greens, force_model, some_of, spread_out};
 use crate::ballast::BallastParameters;
 use crate::ballast::evidence::{Calibration, EvidenceFit, EvidenceProblem, realign};
 use crate::ballast::quasi_static::{QuasiStatic, QuasiStaticFit};
@@ -47,12 +47,10 @@ impl Known<'_> {
     }
 
     fn passages(&self, which: &[usize], first_axle_s: &[f64]) -> Vec<SitePassage<'_>> {
-        let passage = |(i, time): (&usize, &f64)| SitePassage {
-            recording: &self.recordings[*i],
-            timing: Timing { speed_m_s: self.speed_m_s[*i], first_axle_s: *time },
-            static_force_n: self.static_force_n[*i],
-        };
-        which.iter().zip(first_axle_s).map(passage).collect()
+        let timing =
+            |(i, time): (&usize, &f64)| Timing { speed_m_s: self.speed_m_s[*i], first_axle_s: *time };
+        let timings: Vec<Timing> = which.iter().zip(first_axle_s).map(timing).collect();
+        some_of(which, &timings, self.recordings, self.static_force_n)
     }
 
     /// Identifies the site from some of its passages.

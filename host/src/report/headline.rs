@@ -62,8 +62,7 @@ fn speeds_km_h(analysis: &Analysis) -> (f64, f64) {
 fn facts(analysis: &Analysis) -> Vec<(&'static str, String, String)> {
     let i = &analysis.indicators;
     let wheelsets: usize = analysis.passages.iter().map(|p| p.wheelsets.len()).sum();
-    let used = analysis.passages.iter().filter(|p| p.explained()).count();
-    let left_out = analysis.passages.len() - used + analysis.skipped.len();
+    let (used, left_out) = analysis.used_and_left_out();
     let passages = format!("{used} used, {left_out} left out");
     let (force, rms) = (i.peak_force_n, i.irregularity_rms_m);
     vec![

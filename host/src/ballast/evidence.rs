@@ -49,10 +49,9 @@ const PROFILE_STEP_M: (f64, f64) = (0.1, 0.2);
 pub const DIFFERENCE: [f64; 3] = [0.02, 0.02, 0.02];
 /// Largest change of (ln p1, ln p2, p3) in one linearisation.
 const TRUST: [f64; 3] = [0.3, 0.4, 0.2];
-/// Converged when no parameter moves by more than this: the search over a few passages, which the posterior over all
-/// follows, and that posterior itself, whose next step is about a tenth of the one before and far below its spread.
-const TOLERANCE: f64 = 0.004;
-const LAST_TOLERANCE: f64 = 0.03;
+/// Converged when no parameter moves by more than this: Gauss-Newton, so that the next step is about a tenth of the last one, far
+/// below the parameters' spread.
+const TOLERANCE: f64 = 0.03;
 
 /// State of the calibration: what is known of a site so far.
 #[derive(Clone, Debug)]
@@ -103,32 +102,13 @@ impl<'a> EvidenceProblem<'a> {
         passages: &mut [SitePassage],
         rounds: usize,
     ) -> Result<EvidenceFit, InverseError> {
-        self.until(state, passages, rounds, TOLERANCE)
-    }
-
-    /// The same close to the optimum, over all passages.
-    pub fn finish(
-        &self,
-        state: &mut Calibration,
-        passages: &mut [SitePassage],
-    ) -> Result<EvidenceFit, InverseError> {
-        self.until(state, passages, 3, LAST_TOLERANCE)
-    }
-
-    fn until(
-        &self,
-        state: &mut Calibration,
-        passages: &mut [SitePassage],
-        rounds: usize,
-        tolerance: f64,
-    ) -> Result<EvidenceFit, InverseError> {
         let mut evaluations = 0;
         loop {
             let posterior = self.posterior(state, passages)?;
             evaluations += 1;
             let largest = state.advance(&posterior);
             realign(passages, &posterior);
-            if largest < tolerance || evaluations >= rounds {
+            if largest < TOLERANCE || evaluations >= rounds {
                 return Ok(EvidenceFit {
                     parameters: state.ballast,
                     covariance: last_of(&posterior.covariance),

@@ -13,6 +13,10 @@ use crate::reconstruct::{Recording, Timing};
 
 /// Passages used for the search over ballast; all are used for everything else.
 const CALIBRATION_PASSAGES: usize = 8;
+/// Linearisations at most: under the prior that the calibration begins with, under the one that the evidence chooses, over all passages.
+const ROUGH_ROUNDS: usize = 2;
+const SEARCH_ROUNDS: usize = 10;
+const LAST_ROUNDS: usize = 3;
 /// Share of the passages in which the sleeper seems to rise from which on the sensor is taken to be upside down.
 const UPSIDE_DOWN: f64 = 0.8;
 
@@ -126,15 +130,15 @@ fn calibrate(
     progress.begin("ballast by evidence", 4);
     let mut state = Calibration::starting(quasi_static.start_of_evidence(), problem.direction);
     let mut some = spread_out(passages, CALIBRATION_PASSAGES);
-    problem.converge(&mut state, &mut some, 3)?;
+    problem.converge(&mut state, &mut some, ROUGH_ROUNDS)?;
     progress.step();
     state.prior = problem.refined(&state, &spread_out(&some, HYPER_PASSAGES))?;
     progress.step();
-    problem.converge(&mut state, &mut some, 10)?;
+    problem.converge(&mut state, &mut some, SEARCH_ROUNDS)?;
     progress.step();
     // Axle times first: they are far off where the search has not used a passage, and cheap without the derivatives.
     problem.align(&state, passages)?;
-    let fit = problem.finish(&mut state, passages)?;
+    let fit = problem.converge(&mut state, passages, LAST_ROUNDS)?;
     progress.step();
     Ok((state, fit))
 }

@@ -372,6 +372,18 @@ fn recording_cut_short() {
 }
 
 #[test]
+fn value_held_under_the_train() {
+    for filled in [None, Some(0.0)] {
+        let held = |p: &mut Passage| {
+            let middle = p.acceleration_m_s2.len() / 2;
+            let value = filled.unwrap_or(p.acceleration_m_s2[middle]);
+            p.acceleration_m_s2[middle..middle + 120].fill(value);
+        };
+        value_skipped(held, &["acceleration_m_s2", "30 ms", "held a value"]);
+    }
+}
+
+#[test]
 fn dead_sensor() {
     value_skipped(|p| p.acceleration_m_s2.fill(0.1), &["acceleration_m_s2", "no train"]);
 }

@@ -8,7 +8,7 @@ use cpcm::gap::effect::Stage;
 use cpcm::gap::effects::COMMON;
 use cpcm::gap::verdict::Verdict;
 use cpcm::progress::Silent;
-use cpcm::recording::Site;
+use cpcm::recording::{Site, TrafficDirection};
 use cpcm::scenario::{read_scenario, simulate};
 use cpcm_tests::diagnosed::{field, full, named, quick, says, small};
 
@@ -45,6 +45,16 @@ fn property_a_scan_of_another_crossing_is_noticed() {
     let found = full(&site);
     assert_eq!(found.verdict, Verdict::Unexplained, "{:?}", found.effects);
     assert!(found.effects.is_empty() && says(&found, "scan does not belong"), "{:?}", found.remarks);
+}
+
+/// 112 s of search, effects named and withdrawn, and no word of the direction.
+#[test]
+fn regress_trains_that_run_the_other_way_are_told() {
+    let mut site = small("reference-1", 5);
+    site.crossing.traffic_direction = TrafficDirection::Trailing;
+    let found = full(&site);
+    assert_eq!(found.verdict, Verdict::Unexplained);
+    assert!(found.effects.is_empty() && says(&found, "trains run facing"), "{:?}", found.remarks);
 }
 
 /// Everything above a fifth of what occurs is cut off: saturation may be named, nothing else.

@@ -32,6 +32,7 @@ pub fn sample_analysis() -> Analysis {
         ballast: ballast(&truth),
         passages,
         indicators,
+        misdescription: None,
         skipped: site.skipped,
     }
 }

@@ -1,5 +1,6 @@
 //! What `analyse` finds out about a site: the structs that the results files and the report are written from.
 
+use crate::identify::Misdescription;
 use crate::limits::UNLIKE_MODEL;
 use crate::recording::{Crossing, Scan, Skipped};
 
@@ -17,6 +18,8 @@ pub struct Analysis {
     pub passages: Vec<PassageResult>,
     /// Condition indicators over all passages.
     pub indicators: Indicators,
+    /// What crossing.toml has otherwise than the recordings: then forces and irregularity mean nothing.
+    pub misdescription: Option<Misdescription>,
     /// Passages left out, each with its reason.
     pub skipped: Vec<Skipped>,
 }

@@ -1,6 +1,7 @@
 //! A site from recordings to calibrated model: speeds, ballast, axle times, common force profile.
 
 mod classes;
+mod described;
 mod known;
 mod sound;
 
@@ -25,6 +26,7 @@ use self::known::{Found, Known};
 use self::sound::explained;
 
 pub use self::classes::ForceClass;
+pub use self::described::{Descriptions, Heard, Misdescription};
 pub use self::sound::UNLIKE;
 
 /// Why a site cannot be identified.
@@ -102,6 +104,8 @@ pub struct IdentifiedSite<'s> {
     pub greens: GreensFunctions,
     /// The same with each of (ln p1, ln p2, p3) moved by a step.
     pub nearby_greens: [(GreensFunctions, f64); 3],
+    /// What crossing.toml has otherwise than the recordings: then all of this means nothing.
+    pub misdescription: Option<Misdescription>,
     /// Passages that the site was identified from, by their place in the site.
     pub used: Vec<usize>,
     /// What the model leaves of every passage, squared, per value and in units of what it expects to leave.
@@ -236,8 +240,13 @@ pub fn identify<'s>(site: &'s Site, progress: &dyn Progress) -> Result<Identifie
     let problem = EvidenceProblem::new(&track, direction, &pattern, &crossing.vehicle);
     let known =
         Known { problem: &problem, recordings: &recordings, speed_m_s, static_force_n: &static_force_n };
-    let (used, found) = known.of_sound_passages(progress)?;
+    let descriptions = Descriptions::new(crossing, &pattern);
+    let all: Vec<usize> = (0..site.passages.len()).collect();
+    let (found, suspicion) =
+        rayon::join(|| known.of_sound_passages(progress), || descriptions.suspicion(&known.heard(&all)));
+    let (used, found) = found?;
     known.check_sign(&found)?;
+    let misdescription = suspicion.filter(|s| descriptions.confirmed(*s, &known.heard(&used)));
     let Found { quasi_static, calibration, ballast, greens, nearby_greens, classes, timings, misfit } = found;
     let quiet: Vec<f64> = used.iter().map(|i| recordings[*i].quiet_rms_m_s2).collect();
     Ok(IdentifiedSite {
@@ -250,6 +259,7 @@ pub fn identify<'s>(site: &'s Site, progress: &dyn Progress) -> Result<Identifie
         classes,
         explained: explained(&used, &misfit),
         quiet_m_s2: quantile(&quiet, 0.5),
+        misdescription,
         used,
         misfit,
         pattern,

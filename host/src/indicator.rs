@@ -3,6 +3,7 @@
 use faer::Mat;
 
 use crate::analysis::{Condition, Indicators, PassageResult, Spread, WheelsetResult};
+use crate::identify::Misdescription;
 use crate::signal::{mean, quantile};
 
 /// Force peak over static wheel force above which a crossing counts as damaged. The paper's fig. 21 separates healthy
@@ -50,6 +51,21 @@ pub fn indicators(passages: &[PassageResult], position_m: &[f64], static_force_n
         condition,
         urgency: urgency.into(),
         recommended_action: recommended_action.into(),
+    }
+}
+
+impl Indicators {
+    /// The same where crossing.toml describes another panel than the recorded one: no verdict, and what to correct.
+    pub fn misdescribed(self, misdescription: &Misdescription) -> Self {
+        Self {
+            condition: Condition::Watch,
+            urgency: UNEXPLAINED.0.into(),
+            recommended_action: format!(
+                "The recordings contradict crossing.toml: {misdescription}. Forces and irregularity mean nothing; correct it and analyse \
+                 again."
+            ),
+            ..self
+        }
     }
 }
 

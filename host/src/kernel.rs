@@ -18,7 +18,7 @@ use rayon::prelude::*;
 use self::coverage::{Demand, Room, choose, covers};
 use crate::forces::LOW_PASS_HZ;
 use crate::greens::{Chain, GreensFunctions, GreensSampling, Quantity};
-use crate::identify::IdentifiedSite;
+use crate::identify::{IdentifiedSite, Misdescription};
 use crate::inverse::hierarchy::{GroupKind, kinds};
 use crate::inverse::{Estimator, Excitation, GroupGeometry, InverseError, Running, TrackModel};
 use crate::signal::AntiAlias;
@@ -69,6 +69,11 @@ pub enum KernelError {
         /// All of them.
         passages: usize,
     },
+    /// The panel is another one.
+    #[error(
+        "the recordings contradict crossing.toml: {0}; a node with this kernel would report wrong forces"
+    )]
+    Misdescribed(Misdescription),
     /// The header is too long or inconsistent.
     #[error("the package header is refused by the node's own check: {0}")]
     Header(String),
@@ -133,6 +138,9 @@ pub fn package(site: &IdentifiedSite, done: &(dyn Fn() + Sync)) -> Result<Packag
     let passages = site.timings.len();
     if recorded_m_s.is_empty() {
         return Err(KernelError::Unexplained { passages });
+    }
+    if let Some(misdescription) = site.misdescription {
+        return Err(KernelError::Misdescribed(misdescription));
     }
     let kinds = kinds(&site.pattern);
     let greens = node_greens(site);

@@ -9,6 +9,7 @@
 //! | `unlike-load` | axle load more than 10 % off the site's vehicle: forces follow in proportion |
 //! | `unlike-speed` | the operator states a speed more than 5 % off the one found: one of them, or the unit, is wrong |
 //! | `unlike-model` | the calibrated model does not explain the recording: spikes, gaps, drift, half a train, another train, or the whole site is not as described |
+//! | `unlike-description` | the recordings fit another description of the panel far better: trains in the other direction, or the sensor one sleeper along |
 //! | `model-gap` | over the whole site the calibrated model leaves more than three times the noise of quiet track: something acts that it does not hold, `cpcm diagnose` may say what |
 //! | `large-deflection` | beyond 3 mm ballast is not linear: voids, which no linear track explains |
 //!
@@ -38,6 +39,9 @@ const LARGE_DEFLECTION_M: f64 = 3e-3;
 /// Flag of passages that site-wide results leave out while others are left.
 pub const UNLIKE_MODEL: &str = "unlike-model";
 
+/// Flag of sites whose crossing.toml the recordings contradict.
+pub const UNLIKE_DESCRIPTION: &str = "unlike-description";
+
 /// Flag of sites on which something acts that the model does not hold.
 pub const MODEL_GAP: &str = "model-gap";
 
@@ -66,6 +70,8 @@ pub struct PassageLimits<'a> {
     pub excess_noise: f64,
     /// Whether the calibrated model explains the recording.
     pub explained: bool,
+    /// Whether the panel is as crossing.toml has it.
+    pub described: bool,
     /// Reconstructed displacement of the sleeper, metres, positive down.
     pub displacement_m: &'a [f64],
 }
@@ -87,6 +93,7 @@ impl PassageLimits<'_> {
             ("unlike-load", unlike),
             ("unlike-speed", unlike_speed),
             (UNLIKE_MODEL, !self.explained),
+            (UNLIKE_DESCRIPTION, !self.described),
             (MODEL_GAP, self.excess_noise > LARGE_EXCESS),
             ("large-deflection", deepest > LARGE_DEFLECTION_M),
         ]
@@ -119,6 +126,7 @@ mod tests {
             vehicle_axle_load_kg: 15_500.0,
             excess_noise: 1.0,
             explained: true,
+            described: true,
             displacement_m: &[0.0, 0.8e-3, -0.1e-3],
         }
     }
@@ -142,6 +150,7 @@ mod tests {
         one(PassageLimits { axle_load_kg: 18_000.0, ..sound() }, "unlike-load");
         one(PassageLimits { stated_m_s: Some(158.4), ..sound() }, "unlike-speed");
         one(PassageLimits { explained: false, ..sound() }, "unlike-model");
+        one(PassageLimits { described: false, ..sound() }, "unlike-description");
         one(PassageLimits { excess_noise: 4.0, ..sound() }, "model-gap");
         one(PassageLimits { displacement_m: &[6e-3], ..sound() }, "large-deflection");
     }

@@ -92,12 +92,17 @@ pub fn evaluate(identified: &IdentifiedSite, progress: &dyn Progress) -> Result<
         })
         .collect();
     let indicators = indicators(&passages, &grid, identified.usual_force_n());
+    let misdescription = identified.misdescription;
     Ok(Analysis {
         crossing: site.crossing.clone(),
         scan: site.scan.as_ref().map(|s| banded_scan(s, identified)),
         ballast: ballast_estimate(identified, &passages),
         passages,
-        indicators,
+        indicators: match &misdescription {
+            Some(m) => indicators.misdescribed(m),
+            None => indicators,
+        },
+        misdescription,
         skipped: site.skipped.clone(),
     })
 }
@@ -197,6 +202,7 @@ fn flags(identified: &IdentifiedSite, index: usize, displacement_m: &[f64]) -> V
         vehicle_axle_load_kg: site.crossing.vehicle.axle_load_kg,
         excess_noise: identified.excess_noise(index),
         explained: identified.explains(index),
+        described: identified.misdescription.is_none(),
         displacement_m,
     }
     .flags()

@@ -8,7 +8,7 @@ use clap::Args;
 use super::output::{print, warn, warn_skipped, with_effects};
 use super::progress::Bar;
 use crate::analysis::{Analysis, Condition};
-use crate::limits::{MODEL_GAP, UNLIKE_MODEL};
+use crate::limits::{MODEL_GAP, UNLIKE_DESCRIPTION, UNLIKE_MODEL};
 use crate::pipeline::{self, AnalyseOptions};
 use crate::recording::read_site;
 use crate::results::{summary_json, write_results};
@@ -68,6 +68,13 @@ fn warn_unexplained(analysis: &Analysis) {
              gaps, drift, interference, a wheel flat or another train",
             unlike.len()
         ));
+    }
+    if let Some(misdescription) = &analysis.misdescription {
+        warn(&format!(
+            "the recordings contradict crossing.toml (flag {UNLIKE_DESCRIPTION}): {misdescription}; forces and irregularity mean nothing \
+             until it is corrected"
+        ));
+        return;
     }
     if unlike.len() < all && !flagged(MODEL_GAP).is_empty() {
         warn(&format!(

@@ -214,7 +214,7 @@ pub fn diagnose(
         );
         searched = false;
     }
-    searched &= session.trustworthy(site);
+    searched &= session.well_described(site) && session.trustworthy(site);
     if searched {
         let doubtful = site.scan.is_some() && session.scan_is_foreign(site, &before);
         let open = doubtful.then(|| session.shared_squares()).transpose()?;

@@ -1,6 +1,7 @@
 //! What some passages of a site say of it, and the others follow.
 
 use super::classes::{ForceClass, class_of, forces_of_classes};
+use super::described::Heard;
 use super::sound::UNLIKE;
 use super::{HYPER_PASSAGES, IdentifyError, calibrated_greens, force_model, some_of, spread_out};
 use crate::ballast::BallastParameters;
@@ -41,13 +42,14 @@ pub(super) struct Found {
 }
 
 impl Known<'_> {
+    /// What is known of each of some passages.
+    pub(super) fn heard(&self, which: &[usize]) -> Vec<Heard<'_>> {
+        which.iter().map(|i| (&self.recordings[*i], self.speed_m_s[*i], self.static_force_n[*i])).collect()
+    }
+
     fn quasi_static(&self, which: &[usize]) -> QuasiStatic<'_> {
-        let inputs: Vec<(&Recording, f64, f64)> = which
-            .iter()
-            .map(|i| (&self.recordings[*i], self.speed_m_s[*i], self.static_force_n[*i]))
-            .collect();
         let EvidenceProblem { track, direction, pattern, .. } = self.problem;
-        QuasiStatic::new(track, *direction, pattern, &inputs)
+        QuasiStatic::new(track, *direction, pattern, &self.heard(which))
     }
 
     fn passages(&self, which: &[usize], first_axle_s: &[f64]) -> Vec<SitePassage<'_>> {

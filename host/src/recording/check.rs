@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use super::{Crossing, Passage, PassageFault, Skipped};
+use super::{Crossing, Passage, PassageFault, Sensor, Skipped};
 
 /// Longest recording accepted, samples: a 1000 m freight train at 10 m/s and 20 kHz, twice over.
 pub const MAX_SAMPLES: usize = 4_000_000;
@@ -76,6 +76,14 @@ const END_S: f64 = 0.05;
 const END_OF_QUIET: f64 = 3.0;
 const END_OF_TRAIN: f64 = 0.5;
 
+/// While the track shakes, no sensor gives the same value for this long, s, but at its range.
+const HELD_S: f64 = 0.02;
+/// The track shakes where the RMS of as long a stretch before or after is that many times the sensor's noise: quiet track may well be one
+/// value, in a file with few digits.
+const SHAKES: f64 = 5.0;
+/// Values above this share of the largest may be those of a transducer that clips.
+const TOP: f64 = 0.95;
+
 /// Refuses a passage whose values cannot be in the units that the columns name.
 pub fn check_passage(passage: &Passage, crossing: &Crossing) -> Result<(), PassageFault> {
     in_range("axle_load_kg", passage.axle_load_kg, AXLE_LOAD_KG, "kg", "is it in tonnes or newtons?")?;
@@ -146,11 +154,32 @@ fn check_level(samples: &[f32], crossing: &Crossing) -> Result<(), PassageFault>
     if peak < NO_TRAIN_M_S2 {
         return Err(PassageFault::NoTrain { peak });
     }
+    check_held(samples, sensor)?;
     let noise = quietest_rms(samples, (sensor.sample_rate_hz / 10.0) as usize);
     if noise < QUIET_FRACTION * sensor.noise_rms_m_s2 {
         return Err(PassageFault::TooQuiet { noise, nominal: sensor.noise_rms_m_s2 });
     }
     check_ends(samples, sensor.sample_rate_hz, noise)
+}
+
+/// A recorder that holds one value, or fills a gap with one.
+fn check_held(samples: &[f32], sensor: &Sensor) -> Result<(), PassageFault> {
+    let longest = (HELD_S * sensor.sample_rate_hz) as usize;
+    let largest = samples.iter().fold(0.0_f32, |l, a| l.max(a.abs()));
+    let shakes = |stretch: &[f32]| !stretch.is_empty() && rms(stretch) > SHAKES * sensor.noise_rms_m_s2;
+    let mut end = 0;
+    for run in samples.chunk_by(|a, b| a == b) {
+        let start = end;
+        end += run.len();
+        let clipped = f64::from(run[0].abs()) >= TOP * f64::from(largest);
+        let beside =
+            [&samples[start.saturating_sub(longest)..start], &samples[end..samples.len().min(end + longest)]];
+        if run.len() > longest && !clipped && beside.into_iter().any(shakes) {
+            let seconds = run.len() as f64 / sensor.sample_rate_hz;
+            return Err(PassageFault::Held { value: f64::from(run[0]), seconds });
+        }
+    }
+    Ok(())
 }
 
 /// A recording that begins or ends under a bogie: the track is anything but quiet there.

@@ -125,6 +125,14 @@ pub enum PassageFault {
          ({nominal} m/s² rms); is it in g? Multiply by 9.81"
     )]
     TooQuiet { noise: f64, nominal: f64 },
+
+    #[error(
+        "column `acceleration_m_s2` is {value} m/s² for {:.0} ms while the track shakes: the recorder held a value or filled a gap; see \
+         to sensor, cable and memory",
+        1e3 * seconds
+    )]
+    Held { value: f64, seconds: f64 },
+
     #[error(
         "column `acceleration_m_s2`: the recording {end} under the train ({level:.2} m/s² rms there, {quiet:.2} where it is quietest); \
          record 0.3 s before and after it"

@@ -4,11 +4,13 @@ use super::{PATH_PRIOR, Session};
 use crate::gap::GapError;
 use crate::gap::base::{Base, LEAST_SPEED_M_S, base};
 use crate::gap::consistency::Strangers;
-use crate::gap::data::energies;
+use crate::gap::data::{Observed, energies};
 use crate::gap::fit::simulate;
 use crate::gap::measure::ALIGN_M;
 use crate::gap::world::World;
+use crate::identify::{Descriptions, Heard};
 use crate::recording::Site;
+use crate::vehicle::{AxlePattern, static_wheel_force_n};
 
 /// Passages needed to look for an effect.
 const LEAST_PASSAGES: usize = 4;
@@ -66,6 +68,21 @@ impl Session<'_> {
     /// Whether passages do not resemble one another.
     pub(super) fn mixed(&self) -> bool {
         Strangers::among(&self.base.frame.observed).matter()
+    }
+
+    /// Whether the panel is as crossing.toml has it. What is wrong is said.
+    pub(super) fn well_described(&mut self, site: &Site) -> bool {
+        let crossing = &site.crossing;
+        let pattern = AxlePattern::of_vehicle(&crossing.vehicle);
+        let force_n = |o: &Observed| static_wheel_force_n(o.axle_load_kg, crossing.vehicle.gravity_m_s2);
+        let trains: Vec<Heard> =
+            self.base.frame.observed.iter().map(|o| (&o.recording, o.speed_m_s, force_n(o))).collect();
+        let descriptions = Descriptions::new(crossing, &pattern);
+        let suspicion = descriptions.suspicion(&trains);
+        let Some(wrong) = suspicion.filter(|s| descriptions.confirmed(*s, &trains)) else { return true };
+        self.untrusted = true;
+        self.remarks.push(format!("{wrong}; no effect is looked for, correct it and diagnose again"));
+        false
     }
 
     /// Whether there is enough, and one crossing only, to look for effects in. What is wrong is said.

@@ -245,7 +245,7 @@ pub fn identify<'s>(site: &'s Site, progress: &dyn Progress) -> Result<Identifie
     let (found, suspicion) =
         rayon::join(|| known.of_sound_passages(progress), || descriptions.suspicion(&known.heard(&all)));
     let (used, found) = found?;
-    known.check_sign(&found)?;
+    known.check_sign(&found, &descriptions)?;
     let misdescription = suspicion.filter(|s| descriptions.confirmed(*s, &known.heard(&used)));
     let Found { quasi_static, calibration, ballast, greens, nearby_greens, classes, timings, misfit } = found;
     let quiet: Vec<f64> = used.iter().map(|i| recordings[*i].quiet_rms_m_s2).collect();

@@ -4,6 +4,7 @@ use faer::Mat;
 
 use crate::analysis::{Condition, Indicators, PassageResult, Spread, WheelsetResult};
 use crate::identify::Misdescription;
+use crate::limits::{CLIPPED, MODEL_GAP};
 use crate::signal::{mean, quantile};
 
 /// Force peak over static wheel force above which a crossing counts as damaged. The paper's fig. 21 separates healthy
@@ -14,12 +15,18 @@ pub const IRREGULARITY_RMS_THRESHOLD_M: f64 = 0.20e-3;
 /// Within this share of a threshold a healthy crossing is watched.
 const NEAR: f64 = 0.1;
 
+/// How soon to act where the numbers cannot tell.
+const UNSURE: &str = "schedulable";
 /// Advice where the model explains no passage.
-const UNEXPLAINED: (&str, &str) = (
-    "schedulable",
-    "The calibrated model does not explain these recordings, so that forces and irregularity mean nothing: look at a few in the report for \
-     drift, interference, gaps or another train, compare crossing.toml with the crossing, and run `cpcm diagnose`.",
-);
+const UNEXPLAINED: &str = "The calibrated model does not explain these recordings, so that forces and irregularity mean nothing: look at a \
+                           few in the report for drift, interference, gaps or another train, compare crossing.toml with the crossing, and \
+                           run `cpcm diagnose`.";
+/// Advice where most recordings are clipped.
+const CUT_OFF: &str = "The sensor clips in most of the recordings, so that force peaks are cut off and ballast and forces wrong by more than \
+                       their intervals: fit one with a larger range.";
+/// Advice where something acts that the model does not hold.
+const GAP: &str = "Something acts that the calibrated model does not hold, so that forces may be wrong by more than their intervals: run \
+                   `cpcm diagnose`, which may say what.";
 
 /// Indicators of the passages that the model explains, of all where it explains none; `static_force_n` sets the force threshold.
 pub fn indicators(passages: &[PassageResult], position_m: &[f64], static_force_n: f64) -> Indicators {
@@ -30,12 +37,12 @@ pub fn indicators(passages: &[PassageResult], position_m: &[f64], static_force_n
     let rms: Vec<f64> = wheels.iter().map(|w| w.irregularity_rms_m).collect();
     let peak_force_n = spread(&peaks, PEAK_RATIO_THRESHOLD * static_force_n);
     let irregularity_rms_m = spread(&rms, IRREGULARITY_RMS_THRESHOLD_M);
-    let (condition, (urgency, recommended_action)) = if explained == 0 && !passages.is_empty() {
-        (Condition::Watch, UNEXPLAINED)
-    } else {
-        let condition = condition(&peak_force_n, &irregularity_rms_m);
-        (condition, advice(condition, &peak_force_n, &irregularity_rms_m))
-    };
+    let nothing_explained = explained == 0 && !passages.is_empty();
+    let condition =
+        if nothing_explained { Condition::Watch } else { condition(&peak_force_n, &irregularity_rms_m) };
+    let advice = advice(condition, &peak_force_n, &irregularity_rms_m);
+    let (condition, urgency, recommended_action) =
+        doubted(condition, advice, doubt(passages, nothing_explained));
     Indicators {
         peak_force_n,
         irregularity_rms_m,
@@ -50,7 +57,27 @@ pub fn indicators(passages: &[PassageResult], position_m: &[f64], static_force_n
         position_m: position_m.to_vec(),
         condition,
         urgency: urgency.into(),
-        recommended_action: recommended_action.into(),
+        recommended_action,
+    }
+}
+
+/// Why a site's indicators are not to be taken at their word.
+fn doubt(passages: &[PassageResult], nothing_explained: bool) -> Option<&'static str> {
+    let most = |flag: &str| 2 * passages.iter().filter(|p| p.has_flag(flag)).count() > passages.len();
+    let gravest_first = [(most(CLIPPED), CUT_OFF), (nothing_explained, UNEXPLAINED), (most(MODEL_GAP), GAP)];
+    gravest_first.into_iter().find(|(holds, _)| *holds).map(|(_, why)| why)
+}
+
+/// A verdict with a doubt: no crossing is healthy then; one that is damaged all the same stays so.
+fn doubted(
+    condition: Condition,
+    (urgency, action): (&'static str, &'static str),
+    doubt: Option<&str>,
+) -> (Condition, &'static str, String) {
+    match (doubt, condition) {
+        (None, _) => (condition, urgency, action.into()),
+        (Some(doubt), Condition::Damaged) => (condition, urgency, format!("{action} {doubt}")),
+        (Some(doubt), _) => (Condition::Watch, UNSURE, doubt.into()),
     }
 }
 
@@ -59,7 +86,7 @@ impl Indicators {
     pub fn misdescribed(self, misdescription: &Misdescription) -> Self {
         Self {
             condition: Condition::Watch,
-            urgency: UNEXPLAINED.0.into(),
+            urgency: UNSURE.into(),
             recommended_action: format!(
                 "The recordings contradict crossing.toml: {misdescription}. Forces and irregularity mean nothing; correct it and analyse \
                  again."

@@ -13,7 +13,8 @@
 //! | `model-gap` | over the whole site the calibrated model leaves more than three times the noise of quiet track: something acts that it does not hold, `cpcm diagnose` may say what |
 //! | `large-deflection` | beyond 3 mm ballast is not linear: voids, which no linear track explains |
 //!
-//! A flag changes nothing else; it says how far to trust. But for `unlike-model`: indicators are of the other passages.
+//! A flag changes no number; it says how far to trust. But indicators are of the passages that are not `unlike-model`, and no crossing is
+//! healthy where most passages are `clipped` or have a `model-gap`, or the panel is not as described.
 
 use crate::reconstruct::ABOUT;
 
@@ -21,7 +22,7 @@ use crate::reconstruct::ABOUT;
 const LOW_SPEED_M_S: f64 = 40.0 / 3.6;
 /// Share of the sensor's range that counts as saturated: a transducer clips before the recorder's low-pass, which rounds short tops
 /// to 0.92 of the range and more (simulated site at 65 m/s, of whose forces a tenth are 8 % wrong).
-const CLIPPED: f64 = 0.9;
+const NEAR_RANGE: f64 = 0.9;
 /// The same of where values pile up.
 const FLAT: f64 = 0.98;
 /// Words that freight trains go by in train types.
@@ -35,6 +36,9 @@ const UNLIKE_LOAD: f64 = 0.1;
 const LARGE_EXCESS: f64 = 3.0;
 /// Sleeper displacement, metres: the paper's linear panels reach 1 mm, its voided one 6 mm.
 const LARGE_DEFLECTION_M: f64 = 3e-3;
+
+/// Flag of passages on which the sensor saturated.
+pub const CLIPPED: &str = "clipped";
 
 /// Flag of passages that site-wide results leave out while others are left.
 pub const UNLIKE_MODEL: &str = "unlike-model";
@@ -87,7 +91,7 @@ impl PassageLimits<'_> {
         let deepest = self.displacement_m.iter().copied().fold(0.0, f64::max);
         [
             ("low-speed", self.speed_m_s < LOW_SPEED_M_S),
-            ("clipped", self.clipped()),
+            (CLIPPED, self.clipped()),
             ("unknown-train", self.train_type != self.vehicle_type),
             ("freight", freight),
             ("unlike-load", unlike),
@@ -105,7 +109,7 @@ impl PassageLimits<'_> {
 
     fn clipped(&self) -> bool {
         let flat = self.clips_at_m_s2.is_some_and(|top| self.largest_m_s2 >= FLAT * top);
-        flat || self.largest_m_s2 >= CLIPPED * self.range_m_s2
+        flat || self.largest_m_s2 >= NEAR_RANGE * self.range_m_s2
     }
 }
 

@@ -78,6 +78,11 @@ impl Recording {
         out
     }
 
+    /// As a sensor would have it that is upside down.
+    pub fn inverted(&self) -> Self {
+        Self { spectrum: self.spectrum.iter().map(|v| -v).collect(), ..self.clone() }
+    }
+
     /// Duration, seconds.
     pub fn duration_s(&self) -> f64 {
         self.len as f64 / self.rate_hz

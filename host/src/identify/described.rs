@@ -86,21 +86,29 @@ impl<'a> Descriptions<'a> {
         Self { pattern, described: crossing.clone(), others: others(crossing) }
     }
 
-    /// What the usual train would have otherwise, if that is plain: the one that shakes the sleeper as much as most do.
+    /// What the usual train would have otherwise, if that is plain.
     pub fn suspicion(&self, trains: &[Heard]) -> Option<Misdescription> {
-        let mut sorted = trains.to_vec();
-        sorted.sort_by(|a, b| a.0.max_m_s2.total_cmp(&b.0.max_m_s2));
-        let usual = *sorted.get(sorted.len() / 2)?;
-        let start = self.rough_ballast(usual);
-        let panels: Vec<&Crossing> =
-            std::iter::once(&self.described).chain(self.others.iter().map(|(_, panel)| panel)).collect();
-        let evidence: Vec<Evidence> =
-            panels.par_iter().map(|panel| self.evidence(panel, &start, usual)).collect();
+        let evidence = self.of_all(usual(trains)?);
         let (described, others) = evidence.split_first()?;
         let preferred = self.others.iter().zip(others).filter(|(_, other)| other.preferred_to(described));
         preferred
             .max_by(|(_, a), (_, b)| a.log_evidence.total_cmp(&b.log_evidence))
             .map(|((what, _), _)| *what)
+    }
+
+    /// Whether the usual train makes sense, on whichever panel, with the sensor upside down.
+    pub fn explain_inverted(&self, trains: &[Heard]) -> bool {
+        let Some((recording, speed_m_s, static_force_n)) = usual(trains) else { return false };
+        let evidence = self.of_all((&recording.inverted(), speed_m_s, static_force_n));
+        evidence.iter().any(|e| e.misfit <= EXPLAINS)
+    }
+
+    /// Evidence of one train for the panel of crossing.toml and for the others.
+    fn of_all(&self, train: Heard) -> Vec<Evidence> {
+        let start = self.rough_ballast(train);
+        let panels: Vec<&Crossing> =
+            std::iter::once(&self.described).chain(self.others.iter().map(|(_, panel)| panel)).collect();
+        panels.par_iter().map(|panel| self.evidence(panel, &start, train)).collect()
     }
 
     /// Whether most trains would have it like that, too; one may be spoilt.
@@ -142,6 +150,13 @@ impl<'a> Descriptions<'a> {
             Err(_) => Evidence { log_evidence: f64::NEG_INFINITY, misfit: f64::INFINITY },
         }
     }
+}
+
+/// The train that shakes the sleeper as much as most do: one that is spoilt says nothing.
+fn usual<'r>(trains: &[Heard<'r>]) -> Option<Heard<'r>> {
+    let mut sorted = trains.to_vec();
+    sorted.sort_by(|a, b| a.0.max_m_s2.total_cmp(&b.0.max_m_s2));
+    sorted.get(sorted.len() / 2).copied()
 }
 
 fn others(crossing: &Crossing) -> Vec<(Misdescription, Crossing)> {

@@ -1,7 +1,7 @@
 //! What some passages of a site say of it, and the others follow.
 
 use super::classes::{ForceClass, class_of, forces_of_classes};
-use super::described::Heard;
+use super::described::{Descriptions, Heard};
 use super::sound::UNLIKE;
 use super::{HYPER_PASSAGES, IdentifyError, calibrated_greens, force_model, some_of, spread_out};
 use crate::ballast::BallastParameters;
@@ -73,8 +73,8 @@ impl Known<'_> {
         Ok(Found { quasi_static, calibration, ballast, greens, nearby_greens, classes, timings, misfit })
     }
 
-    /// Where the model explains next to nothing, it may be the sign.
-    pub(super) fn check_sign(&self, found: &Found) -> Result<(), IdentifyError> {
+    /// Where the model explains next to nothing, it may be the sign; what clips hard seems to rise as well.
+    pub(super) fn check_sign(&self, found: &Found, descriptions: &Descriptions) -> Result<(), IdentifyError> {
         let unlike = found.misfit.iter().filter(|m| **m > UNLIKE).count();
         if 2 * unlike <= found.misfit.len() {
             return Ok(());
@@ -82,7 +82,7 @@ impl Known<'_> {
         let passages = self.recordings.len();
         let all: Vec<usize> = (0..passages).collect();
         let share = self.quasi_static(&all).rising(&BallastParameters::NOMINAL);
-        if share < UPSIDE_DOWN {
+        if share < UPSIDE_DOWN || !descriptions.explain_inverted(&self.heard(&all)) {
             return Ok(());
         }
         Err(IdentifyError::UpsideDown { rising: (share * passages as f64).round() as usize, passages })

@@ -1,5 +1,6 @@
 //! Recordings of an independent simulator whose effect is known, and those without any.
 
+use cpcm::gap::effects::advice;
 use cpcm::gap::verdict::Verdict;
 use cpcm_tests::diagnosed::{field, full, named};
 
@@ -14,6 +15,8 @@ fn assert_named(effect: &str) {
         [first.name].into_iter().chain(first.indistinguishable_from.iter().copied()).collect();
     assert!(group.contains(&effect), "{effect}: {group:?}");
     assert!(group.len() <= LARGEST_GROUP, "{effect}: {group:?}");
+    let action = found.recommended_action(first).unwrap_or_else(|| panic!("{effect}: {:?}", found.verdict));
+    assert!(action.contains(advice(effect).unwrap().action), "{effect}: {action}");
 }
 
 #[test]

@@ -13,7 +13,7 @@ use crate::gap::hammer::{BAND_HZ, Hammer};
 use crate::gap::receptance::read_receptance;
 use crate::gap::results::{diagnosis_json, write_diagnosis};
 use crate::recording::read_site;
-use crate::report::diagnosis::sentence;
+use crate::report::diagnosis::{sentence, significant};
 
 /// Say why recordings and simulation of a crossing differ: where, which effect, and how far the gap shrinks with it
 ///
@@ -96,15 +96,26 @@ fn summary(d: &Diagnosis) -> String {
         d.predictions.len(),
     );
     for e in &d.effects {
-        text.push_str(&format!("effect        {} (probability {:.2})\n", e.name, e.probability));
+        text.push_str(&format!(
+            "effect        {}: {} (probability {:.2})\n",
+            e.name,
+            e.meaning(),
+            e.probability
+        ));
         for (name, value, lower, upper) in &e.parameters {
-            text.push_str(&format!("              {name} {value:.4e} (90 %: {lower:.4e} … {upper:.4e})\n"));
+            let [value, lower, upper] = [value, lower, upper].map(|v| significant(*v));
+            text.push_str(&format!("              {name} {value} (90 %: {lower} … {upper})\n"));
         }
         if !e.indistinguishable_from.is_empty() {
             text.push_str(&format!(
                 "              cannot be told from: {}\n",
                 e.indistinguishable_from.join(", ")
             ));
+        }
+    }
+    for e in &d.effects {
+        if let Some(action) = d.recommended_action(e) {
+            text.push_str(&format!("action        {action}\n"));
         }
     }
     for (name, change) in d.consequences.iter().flat_map(Consequences::rows) {

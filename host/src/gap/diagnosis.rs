@@ -15,7 +15,7 @@ use std::time::Instant;
 use super::GapError;
 use super::base::{Base, PathPrior, base, nominal_world};
 use super::effect::{Effect, Hints, Stage};
-use super::effects::{COMMON, LATENT};
+use super::effects::{COMMON, LATENT, advice};
 use super::fit::{Fit, State};
 use super::hammer::Hammer;
 use super::ladder::Rung;
@@ -59,6 +59,13 @@ pub struct Named {
     /// What it took off the residual of the training passages, RMS: of the acceleration relative to the wheels' scatter, or
     /// half of that of the displacement relative to what is left, whichever is more.
     pub gained: f64,
+}
+
+impl Named {
+    /// What it means, in plain words.
+    pub fn meaning(&self) -> &'static str {
+        advice(self.name).map_or("", |a| a.what)
+    }
 }
 
 /// An effect that was tried.
@@ -118,6 +125,19 @@ pub struct Diagnosis {
     pub consequences: Option<super::consequences::Consequences>,
     /// Time taken, s; not part of any result file.
     pub seconds: f64,
+}
+
+impl Diagnosis {
+    /// What to do about an effect, and about those that it cannot be told from. Nothing is advised where most of the gap stays
+    /// unexplained: another effect may be behind it.
+    pub fn recommended_action(&self, effect: &Named) -> Option<String> {
+        if self.verdict == Verdict::Unexplained {
+            return None;
+        }
+        let own = advice(effect.name)?.action.to_string();
+        let or = |same: &&str| advice(same).map(|a| format!(" If it is {same}: {}", a.action));
+        Some(effect.indistinguishable_from.iter().filter_map(or).fold(own, |all, one| all + &one))
+    }
 }
 
 /// Residual of the base model for one passage, mean over its bogies.

@@ -16,6 +16,15 @@ pub enum Stage {
     Node,
 }
 
+/// An effect in the words of whoever looks after the track.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Advice {
+    /// What is not as it should be.
+    pub what: &'static str,
+    /// What to do about it.
+    pub action: &'static str,
+}
+
 /// How a parameter is searched.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Scale {
@@ -102,6 +111,8 @@ pub trait Effect: Sync + Send {
     fn name(&self) -> &'static str;
     /// Place in the chain.
     fn stage(&self) -> Stage;
+    /// What it means, and what to do about it.
+    fn advice(&self) -> Advice;
     /// Parameters, in the order of `values`.
     fn parameters(&self) -> &'static [Parameter];
     /// Coordinates from which the search starts.

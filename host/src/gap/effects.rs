@@ -21,7 +21,7 @@ mod voided_sleepers;
 mod wheel_flat;
 mod wheel_out_of_roundness;
 
-use super::effect::Effect;
+use super::effect::{Advice, Effect};
 use super::latent::Latent;
 
 /// Effects that all wheels and passages share.
@@ -52,10 +52,27 @@ pub static LATENT: [&dyn Latent; 5] = [
     &bias_step::BiasStep,
 ];
 
+/// What an effect of the catalogue means, and what to do about it.
+pub fn advice(name: &str) -> Option<Advice> {
+    let common = || COMMON.iter().find(|e| e.name() == name).map(|e| e.advice());
+    LATENT.iter().find(|e| e.name() == name).map(|e| e.advice()).or_else(common)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::gap::effect::Hints;
+
+    #[test]
+    fn property_every_effect_says_what_it_means_and_what_to_do() {
+        let names = COMMON.iter().map(|e| e.name()).chain(LATENT.iter().map(|e| e.name()));
+        for name in names {
+            let Advice { what, action } = advice(name).unwrap();
+            assert!(!what.is_empty() && !what.ends_with('.'), "{name}");
+            assert!(action.ends_with('.') && action.chars().all(|c| c != '\n'), "{name}");
+        }
+        assert_eq!(advice("gremlins"), None);
+    }
 
     #[test]
     fn property_starts_lie_inside_the_ranges_and_far_ones_on_both_sides_of_nought() {

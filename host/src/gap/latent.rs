@@ -5,7 +5,7 @@ use faer::Mat;
 use rayon::prelude::*;
 
 use super::data::{Observed, RATE_HZ};
-use super::effect::{ActsOn, Stage};
+use super::effect::{ActsOn, Advice, Stage};
 use super::fit::whitened;
 use super::forward::Response;
 use super::linear::BogieResponses;
@@ -76,6 +76,8 @@ pub trait Latent: Sync + Send {
     fn name(&self) -> &'static str;
     /// Place in the chain.
     fn stage(&self) -> Stage;
+    /// What it means, and what to do about it.
+    fn advice(&self) -> Advice;
     /// What it acts on.
     fn acts_on(&self) -> ActsOn {
         if self.stage() == Stage::Vehicle { ActsOn::Wheels } else { ActsOn::Recordings }

@@ -53,7 +53,8 @@ pub fn diagnosis_json(d: &Diagnosis) -> Value {
                 .map(|(n, v, l, u)| ((*n).to_string(), json!({"value": v, "lower": l, "upper": u})))
                 .collect();
             json!({"name": e.name, "probability": e.probability, "parameters": parameters,
-                   "indistinguishable_from": e.indistinguishable_from, "gained": finite(e.gained)})
+                   "indistinguishable_from": e.indistinguishable_from, "gained": finite(e.gained),
+                   "meaning": e.meaning(), "recommended_action": d.recommended_action(e)})
         })
         .collect();
     let ranking: Vec<Value> = d

@@ -6,7 +6,7 @@ use super::ReportError;
 use super::page::{self, Figure, Key, escape};
 use super::plot::{Axis, BLUE, GREY, Layer, ORANGE, Plot, Point, range_of};
 use crate::gap::consequences::Change;
-use crate::gap::diagnosis::Diagnosis;
+use crate::gap::diagnosis::{Diagnosis, Named};
 use crate::gap::measure::Prediction;
 use crate::gap::verdict::{Verdict, closed};
 
@@ -14,6 +14,7 @@ use crate::gap::verdict::{Verdict, closed};
 pub fn html(site: &str, d: &Diagnosis) -> Result<String, ReportError> {
     let mut body = headline(site, d);
     body.push_str(&effects(d));
+    body.push_str(&actions(d));
     body.push_str(&consequences(d));
     body.push_str(&remarks(d));
     body.push_str(&bands(d));
@@ -35,9 +36,27 @@ pub fn html(site: &str, d: &Diagnosis) -> Result<String, ReportError> {
     Ok(page::document(&format!("{site} \u{2013} sim-to-real gap"), &body))
 }
 
+fn actions(d: &Diagnosis) -> String {
+    if d.effects.is_empty() {
+        return String::new();
+    }
+    let item = |e: &Named| {
+        let action = d.recommended_action(e);
+        action.map(|a| format!("<li><strong>{}:</strong> {}</li>\n", escape(e.name), escape(&a)))
+    };
+    let items: String = d.effects.iter().filter_map(item).collect();
+    match items.is_empty() {
+        true => "<h2>What to do</h2>\n<p>Nothing yet: most of the gap is unexplained, and something else may be behind it. See the notes \
+                 below.</p>\n"
+            .into(),
+        false => format!("<h2>What to do</h2>\n<ul>\n{items}</ul>\n"),
+    }
+}
+
 /// The verdict in words.
 pub fn sentence(d: &Diagnosis) -> String {
-    let names: Vec<&str> = d.effects.iter().map(|e| e.name).collect();
+    let names: Vec<String> =
+        d.effects.iter().map(|e| [&[e.name], &e.indistinguishable_from[..]].concat().join(" or ")).collect();
     match d.verdict {
         Verdict::NoGap => "No gap: the model predicts these recordings as well as their noise allows.".into(),
         Verdict::Explained => format!("Explained by {}.", names.join(" and ")),
@@ -81,7 +100,7 @@ fn table(head: &[&str], rows: &[Vec<String>]) -> String {
 }
 
 /// Three significant digits.
-fn significant(value: f64) -> String {
+pub fn significant(value: f64) -> String {
     let magnitude = value.abs().log10().floor();
     match (-3.0..6.0).contains(&magnitude) {
         true => format!("{value:.*}", (2.0 - magnitude).max(0.0) as usize),
@@ -106,7 +125,7 @@ fn effects(d: &Diagnosis) -> String {
                 })
                 .collect();
             vec![
-                e.name.into(),
+                format!("{}: {}", e.name, e.meaning()),
                 format!("{:.2}", e.probability),
                 parameters.join("; "),
                 e.indistinguishable_from.join(", "),

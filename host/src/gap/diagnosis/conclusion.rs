@@ -46,7 +46,9 @@ impl Session<'_> {
             r.gap_after = if named { gap.after } else { gap.before };
         }
         let denials = self.denials(&after_state)?;
-        self.remarks.extend(denials.iter().map(|d| d.remark.clone()));
+        if !self.untrusted {
+            self.remarks.extend(denials.iter().map(|d| d.remark.clone()));
+        }
         let verdict = match self.untrusted {
             true => Verdict::Unexplained,
             false => verdict(&gap, &self.named, !denials.is_empty()),

@@ -81,7 +81,8 @@ impl Session<'_> {
         let suspicion = descriptions.suspicion(&trains);
         let Some(wrong) = suspicion.filter(|s| descriptions.confirmed(*s, &trains)) else { return true };
         self.untrusted = true;
-        self.remarks.push(format!("{wrong}; no effect is looked for, correct it and diagnose again"));
+        // First: what else departs from the model follows from it.
+        self.remarks.insert(0, format!("{wrong}; no effect is looked for, correct it and diagnose again"));
         false
     }
 

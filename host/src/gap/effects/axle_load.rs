@@ -2,7 +2,7 @@
 //!
 //! Everything scales, the excitation by the crossing apart; passenger load changes a coach by up to a sixth.
 
-use crate::gap::effect::{Effect, Hints, MODEL_ERROR, Parameter, Scale, Stage};
+use crate::gap::effect::{Advice, Effect, Hints, MODEL_ERROR, Parameter, Scale, Stage};
 use crate::gap::world::World;
 
 /// See the module.
@@ -27,6 +27,13 @@ impl Effect for AxleLoad {
 
     fn stage(&self) -> Stage {
         Stage::Vehicle
+    }
+
+    fn advice(&self) -> Advice {
+        Advice {
+            what: "trains are heavier or lighter than stated",
+            action: "Nothing to repair. Compare axle_load_kg with the operator's data or a weighbridge; `--with-effects` uses the load found.",
+        }
     }
 
     fn parameters(&self) -> &'static [Parameter] {

@@ -3,7 +3,7 @@
 //! A cone of ballast below a sleeper weighs as much as the sleeper itself (130 to 350 kg/m); the prior is of that
 //! size.
 
-use crate::gap::effect::{Effect, Hints, Parameter, Scale, Stage};
+use crate::gap::effect::{Advice, Effect, Hints, Parameter, Scale, Stage};
 use crate::gap::world::World;
 
 /// See the module.
@@ -29,6 +29,13 @@ impl Effect for BallastMass {
 
     fn stage(&self) -> Stage {
         Stage::Track
+    }
+
+    fn advice(&self) -> Advice {
+        Advice {
+            what: "ballast moves with the sleepers",
+            action: "Nothing to repair. `--with-effects` includes the mass in forces and kernel.",
+        }
     }
 
     fn parameters(&self) -> &'static [Parameter] {

@@ -3,7 +3,7 @@
 //! w₀ is the displacement at which the secant stiffness has doubled. Range: from a fifth of a usual deflection (0.5 mm,
 //! paper fig. 12) to where nothing is left of the effect. The search runs over 1/w₀, which is nought without the effect.
 
-use crate::gap::effect::{Effect, Hints, MODEL_ERROR, Parameter, Scale, Stage};
+use crate::gap::effect::{Advice, Effect, Hints, MODEL_ERROR, Parameter, Scale, Stage};
 use crate::gap::world::World;
 
 /// See the module.
@@ -28,6 +28,13 @@ impl Effect for BallastStiffening {
 
     fn stage(&self) -> Stage {
         Stage::Track
+    }
+
+    fn advice(&self) -> Advice {
+        Advice {
+            what: "ballast stiffens under load",
+            action: "Look for fouled or frozen ballast. Forces of trains of another load than these are less certain than stated.",
+        }
     }
 
     fn parameters(&self) -> &'static [Parameter] {

@@ -12,7 +12,7 @@ use faer::linalg::solvers::Solve as _;
 use rayon::prelude::*;
 
 use crate::gap::data::{QuietEnd, RATE_HZ};
-use crate::gap::effect::Stage;
+use crate::gap::effect::{Advice, Stage};
 use crate::gap::forward::BAND_HZ;
 use crate::gap::latent::{Latent, LatentFit, Scene};
 use crate::signal::{
@@ -59,6 +59,13 @@ impl Latent for BiasStep {
 
     fn stage(&self) -> Stage {
         Stage::Sensor
+    }
+
+    fn advice(&self) -> Advice {
+        Advice {
+            what: "the sensor's baseline shifts after shocks",
+            action: "Check how the sensor is fixed, and its amplifier; replace it if that does not help. Do not use displacements until then.",
+        }
     }
 
     fn explore(&self, scene: &Scene) -> Option<LatentFit> {

@@ -4,7 +4,7 @@
 //! and wheel do not. Where the operator states speeds (1 % each, unbiased), they alone tell it (`diagnosis/recorder.rs`): ballast
 //! and path take over most of what it does to the recordings. Range: a broken crystal or a wrong divider.
 
-use crate::gap::effect::{Effect, Hints, Parameter, Scale, Stage, Witness};
+use crate::gap::effect::{Advice, Effect, Hints, Parameter, Scale, Stage, Witness};
 use crate::gap::world::World;
 
 /// See the module.
@@ -29,6 +29,13 @@ impl Effect for ClockError {
 
     fn stage(&self) -> Stage {
         Stage::Timing
+    }
+
+    fn advice(&self) -> Advice {
+        Advice {
+            what: "the recorder's clock is fast or slow",
+            action: "Set or replace the recorder's clock. Forces: `--with-effects` takes the error out of the recordings.",
+        }
     }
 
     fn parameters(&self) -> &'static [Parameter] {

@@ -1,6 +1,6 @@
 //! Bending stiffness and mass of the crossing rail: factors on the nominal three times plain rail (paper, Table 1).
 
-use crate::gap::effect::{Effect, Hints, MODEL_ERROR, Parameter, Scale, Stage};
+use crate::gap::effect::{Advice, Effect, Hints, MODEL_ERROR, Parameter, Scale, Stage};
 use crate::gap::world::World;
 
 /// See the module.
@@ -39,6 +39,13 @@ impl Effect for CrossingRail {
 
     fn stage(&self) -> Stage {
         Stage::Track
+    }
+
+    fn advice(&self) -> Advice {
+        Advice {
+            what: "the crossing rail is stiffer, softer or heavier than drawn",
+            action: "Compare the crossing with its drawing; where it is softer, look for cracks and loose fastenings.",
+        }
     }
 
     fn parameters(&self) -> &'static [Parameter] {

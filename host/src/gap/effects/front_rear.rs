@@ -3,7 +3,7 @@
 //! Differences are front minus rear over their mean. Breaks the paper's assumption that both have the same force
 //! (section 4.2).
 
-use crate::gap::effect::{Effect, Hints, MODEL_ERROR, Parameter, Scale, Stage};
+use crate::gap::effect::{Advice, Effect, Hints, MODEL_ERROR, Parameter, Scale, Stage};
 use crate::gap::world::World;
 
 /// See the module.
@@ -41,6 +41,13 @@ impl Effect for FrontRear {
 
     fn stage(&self) -> Stage {
         Stage::Vehicle
+    }
+
+    fn advice(&self) -> Advice {
+        Advice {
+            what: "front and rear wheelsets of a bogie load the crossing differently",
+            action: "Nothing to repair on the panel. Ask the operator whether trains brake there, and about the vehicles.",
+        }
     }
 
     fn parameters(&self) -> &'static [Parameter] {

@@ -3,7 +3,7 @@
 //! Acts on all frequencies alike and follows the temperature from passage to passage. T₀ is unknown, so a constant gain goes
 //! with it. Data sheets give up to 0.04 %/K; a failing bridge or a loose mount reaches ten times that.
 
-use crate::gap::effect::{Effect, Hints, MODEL_ERROR, Parameter, Scale, Stage, Witness};
+use crate::gap::effect::{Advice, Effect, Hints, MODEL_ERROR, Parameter, Scale, Stage, Witness};
 use crate::gap::world::World;
 
 /// See the module.
@@ -41,6 +41,13 @@ impl Effect for GainTemperature {
 
     fn stage(&self) -> Stage {
         Stage::Sensor
+    }
+
+    fn advice(&self) -> Advice {
+        Advice {
+            what: "the sensor's sensitivity follows its temperature",
+            action: "Calibrate or replace the sensor. Until then `--with-effects` takes the change out of the recordings.",
+        }
     }
 
     fn parameters(&self) -> &'static [Parameter] {

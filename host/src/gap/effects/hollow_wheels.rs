@@ -10,7 +10,7 @@ use faer::linalg::solvers::{Llt, Solve as _};
 use rayon::prelude::*;
 
 use crate::gap::data::RATE_HZ;
-use crate::gap::effect::Stage;
+use crate::gap::effect::{Advice, Stage};
 use crate::gap::fit::whitened;
 use crate::gap::forward::Simulator;
 use crate::gap::latent::{Latent, LatentFit, Scene};
@@ -69,6 +69,13 @@ impl Latent for HollowWheels {
 
     fn stage(&self) -> Stage {
         Stage::Vehicle
+    }
+
+    fn advice(&self) -> Advice {
+        Advice {
+            what: "some wheels are worn hollow",
+            action: "Nothing to repair on the panel. Tell the vehicles' owner: have the treads of these trains measured.",
+        }
     }
 
     fn alike(&self) -> bool {

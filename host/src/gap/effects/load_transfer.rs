@@ -1,6 +1,6 @@
 //! Static load shared unequally between the two rails: cant, curve, skew load. Positive loads the crossing side.
 
-use crate::gap::effect::{Effect, Hints, MODEL_ERROR, Parameter, Scale, Stage};
+use crate::gap::effect::{Advice, Effect, Hints, MODEL_ERROR, Parameter, Scale, Stage};
 use crate::gap::world::World;
 
 /// See the module.
@@ -25,6 +25,13 @@ impl Effect for LoadTransfer {
 
     fn stage(&self) -> Stage {
         Stage::Vehicle
+    }
+
+    fn advice(&self) -> Advice {
+        Advice {
+            what: "the two rails carry unequal loads",
+            action: "Measure cant and twist at the crossing; lift and tamp where they are out of tolerance.",
+        }
     }
 
     fn parameters(&self) -> &'static [Parameter] {

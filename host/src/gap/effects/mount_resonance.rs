@@ -2,7 +2,7 @@
 //!
 //! Glued mounts resonate above 1 kHz, which is no fault; brackets and magnets at some hundred hertz reach into the band.
 
-use crate::gap::effect::{Effect, Hints, MODEL_ERROR, Parameter, Scale, Stage};
+use crate::gap::effect::{Advice, Effect, Hints, MODEL_ERROR, Parameter, Scale, Stage};
 use crate::gap::world::World;
 
 /// See the module.
@@ -41,6 +41,13 @@ impl Effect for MountResonance {
 
     fn stage(&self) -> Stage {
         Stage::Sensor
+    }
+
+    fn advice(&self) -> Advice {
+        Advice {
+            what: "the sensor's mount resonates",
+            action: "Fasten the sensor anew, glued or bolted to clean concrete without a bracket. Forces above that frequency are wrong until then.",
+        }
     }
 
     fn parameters(&self) -> &'static [Parameter] {

@@ -3,7 +3,7 @@
 //! Pads of one design spread by a factor of four between materials (EPDM 85, EVA 304 kN/mm) and lose half their stiffness
 //! when hot.
 
-use crate::gap::effect::{Effect, Hints, Parameter, Scale, Stage};
+use crate::gap::effect::{Advice, Effect, Hints, Parameter, Scale, Stage};
 use crate::gap::world::World;
 
 /// See the module.
@@ -29,6 +29,13 @@ impl Effect for PadStiffness {
 
     fn stage(&self) -> Stage {
         Stage::Track
+    }
+
+    fn advice(&self) -> Advice {
+        Advice {
+            what: "rail pads are stiffer or softer than drawn",
+            action: "Compare the pads with the drawing; replace worn or hardened ones. Forces: `--with-effects` uses the stiffness found.",
+        }
     }
 
     fn parameters(&self) -> &'static [Parameter] {

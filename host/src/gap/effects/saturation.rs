@@ -3,7 +3,7 @@
 //! The recordings show it themselves: values pile up at the range in most of them
 //! ([`flat_top_m_s2`](crate::reconstruct::flat_top_m_s2)). Only where few clip does the search find it, from the largest value on.
 
-use crate::gap::effect::{Effect, Hints, MODEL_ERROR, Parameter, Scale, Stage};
+use crate::gap::effect::{Advice, Effect, Hints, MODEL_ERROR, Parameter, Scale, Stage};
 use crate::gap::world::World;
 
 /// See the module.
@@ -28,6 +28,13 @@ impl Effect for Saturation {
 
     fn stage(&self) -> Stage {
         Stage::Sensor
+    }
+
+    fn advice(&self) -> Advice {
+        Advice {
+            what: "the sensor clips below its stated range",
+            action: "Fit a sensor with a larger range: force peaks are cut off.",
+        }
     }
 
     fn parameters(&self) -> &'static [Parameter] {

@@ -1,7 +1,7 @@
 //! A dip in the stock rail opposite the crossing, (1 + cos)/2: a bad weld or a squat. The sensor sits on the other side, so
 //! it shows through the sleeper and the rolling of the wheelset.
 
-use crate::gap::effect::{Effect, Hints, MODEL_ERROR, Parameter, Scale, Stage};
+use crate::gap::effect::{Advice, Effect, Hints, MODEL_ERROR, Parameter, Scale, Stage};
 use crate::gap::world::World;
 
 /// See the module.
@@ -51,6 +51,13 @@ impl Effect for StockIrregularity {
 
     fn stage(&self) -> Stage {
         Stage::Geometry
+    }
+
+    fn advice(&self) -> Advice {
+        Advice {
+            what: "the stock rail has a dip opposite the crossing",
+            action: "Inspect the stock rail there for a bad weld or a squat; grind or weld it.",
+        }
     }
 
     fn parameters(&self) -> &'static [Parameter] {

@@ -2,7 +2,7 @@
 //!
 //! A factor on the stiffness on the side of negative and of positive x; 1 is the outer stiffness p1.
 
-use crate::gap::effect::{Effect, Hints, MODEL_ERROR, Parameter, Scale, Stage};
+use crate::gap::effect::{Advice, Effect, Hints, MODEL_ERROR, Parameter, Scale, Stage};
 use crate::gap::world::World;
 
 /// See the module.
@@ -40,6 +40,13 @@ impl Effect for SupportLoss {
 
     fn stage(&self) -> Stage {
         Stage::Track
+    }
+
+    fn advice(&self) -> Advice {
+        Advice {
+            what: "sleepers beside the crossing have lost support",
+            action: "Inspect sleepers 3 to 6 on the side with the low factor, and tamp them.",
+        }
     }
 
     fn parameters(&self) -> &'static [Parameter] {

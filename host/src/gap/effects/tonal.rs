@@ -6,7 +6,7 @@
 use rayon::prelude::*;
 
 use crate::gap::data::{Observed, QuietEnd, RATE_HZ};
-use crate::gap::effect::Stage;
+use crate::gap::effect::{Advice, Stage};
 use crate::gap::forward::BAND_HZ;
 use crate::gap::latent::{Latent, LatentFit, Scene};
 use crate::signal::{centre, dot};
@@ -194,6 +194,13 @@ impl Latent for Tonal {
 
     fn stage(&self) -> Stage {
         Stage::Sensor
+    }
+
+    fn advice(&self) -> Advice {
+        Advice {
+            what: "electrical interference",
+            action: "Check shield, earthing and supply of the sensor's cable; look for machines of this frequency nearby.",
+        }
     }
 
     fn explore(&self, scene: &Scene) -> Option<LatentFit> {

@@ -1,7 +1,7 @@
 //! Wheelsets heavier or lighter than in the description: other wheels, axle-mounted drives (a driven wheelset weighs up to
 //! twice a trailing one).
 
-use crate::gap::effect::{Effect, Hints, MODEL_ERROR, Parameter, Scale, Stage};
+use crate::gap::effect::{Advice, Effect, Hints, MODEL_ERROR, Parameter, Scale, Stage};
 use crate::gap::world::World;
 
 /// See the module.
@@ -26,6 +26,13 @@ impl Effect for UnsprungMass {
 
     fn stage(&self) -> Stage {
         Stage::Vehicle
+    }
+
+    fn advice(&self) -> Advice {
+        Advice {
+            what: "wheelsets are heavier or lighter than described",
+            action: "Nothing to repair. Compare wheelset_mass_kg with the vehicle's data: driven wheelsets weigh up to twice as much.",
+        }
     }
 
     fn parameters(&self) -> &'static [Parameter] {

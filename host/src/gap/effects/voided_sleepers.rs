@@ -3,7 +3,7 @@
 //! The gap closes under every axle; deflection has an intercept at zero load, and its edges are sharp. Sources: paper,
 //! section 6.2 (6 mm deflection of Vad 131); a quadratic fall-off to the neighbours as for the stiffness (fig. 7).
 
-use crate::gap::effect::{Effect, Hints, Parameter, Scale, Stage};
+use crate::gap::effect::{Advice, Effect, Hints, Parameter, Scale, Stage};
 use crate::gap::world::World;
 
 /// See the module.
@@ -42,6 +42,13 @@ impl Effect for VoidedSleepers {
 
     fn stage(&self) -> Stage {
         Stage::Track
+    }
+
+    fn advice(&self) -> Advice {
+        Advice {
+            what: "sleepers hang above their ballast",
+            action: "Tamp or stone-blow the crossing sleeper and its neighbours, and measure again when trains have settled them.",
+        }
     }
 
     fn parameters(&self) -> &'static [Parameter] {

@@ -9,7 +9,7 @@
 use rayon::prelude::*;
 
 use crate::gap::data::RATE_HZ;
-use crate::gap::effect::Stage;
+use crate::gap::effect::{Advice, Stage};
 use crate::gap::forward::Simulator;
 use crate::gap::latent::{Latent, LatentFit, Scene, best_share, mixed, responsibility, times};
 use crate::passage::WheelFlat as Flat;
@@ -73,6 +73,13 @@ impl Latent for WheelFlat {
 
     fn stage(&self) -> Stage {
         Stage::Vehicle
+    }
+
+    fn advice(&self) -> Advice {
+        Advice {
+            what: "some wheels have flats",
+            action: "Nothing to repair on the panel. Tell the vehicles' owner: have these wheels inspected and turned.",
+        }
     }
 
     fn explore(&self, scene: &Scene) -> Option<LatentFit> {

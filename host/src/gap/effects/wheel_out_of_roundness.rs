@@ -7,7 +7,7 @@ use std::sync::LazyLock;
 
 use rayon::prelude::*;
 
-use crate::gap::effect::Stage;
+use crate::gap::effect::{Advice, Stage};
 use crate::gap::latent::{Latent, LatentFit, Scene, best_share, responsibility, times};
 use crate::signal::dot;
 
@@ -66,6 +66,13 @@ impl Latent for WheelOutOfRoundness {
 
     fn stage(&self) -> Stage {
         Stage::Vehicle
+    }
+
+    fn advice(&self) -> Advice {
+        Advice {
+            what: "wheels are out of round",
+            action: "Nothing to repair on the panel. Tell the vehicles' owner: have these wheels measured and turned.",
+        }
     }
 
     fn explore(&self, scene: &Scene) -> Option<LatentFit> {

@@ -58,7 +58,15 @@ impl Peers {
             .collect();
         match absent.as_slice() {
             [] => None,
-            names => Some(format!("{} -m pip install {}", self.python, names.join(" "))),
+            names => {
+                // Installed without the system's BLAS it does not import either, and does not say why.
+                let blas = if names.contains(&"openseespy") {
+                    "; it needs libblas3 (Debian: apt-get install libblas3)"
+                } else {
+                    ""
+                };
+                Some(format!("{} -m pip install {}{blas}", self.python, names.join(" ")))
+            }
         }
     }
 

@@ -285,6 +285,7 @@ struct Session<'a> {
     /// What was found and denied by passages that the search has not seen.
     withdrawn: Vec<&'static str>,
     foreign_scan: bool,
+    misdescribed: bool,
     /// The recordings or the scan cannot be what they are said to be: no gap of theirs means anything.
     untrusted: bool,
     /// Range of a transducer that clips, m/s², in the catalogue or not.
@@ -320,6 +321,7 @@ impl<'a> Session<'a> {
             searched: false,
             withdrawn: Vec::new(),
             foreign_scan: false,
+            misdescribed: false,
             untrusted: false,
             clips_at_m_s2: None,
             scatter: (0.0, 0.0),

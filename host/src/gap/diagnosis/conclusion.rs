@@ -46,7 +46,7 @@ impl Session<'_> {
             r.gap_after = if named { gap.after } else { gap.before };
         }
         let denials = self.denials(&after_state)?;
-        if !self.untrusted {
+        if !self.misdescribed {
             self.remarks.extend(denials.iter().map(|d| d.remark.clone()));
         }
         let verdict = match self.untrusted {

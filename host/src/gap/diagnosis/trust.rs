@@ -80,8 +80,8 @@ impl Session<'_> {
         let descriptions = Descriptions::new(crossing, &pattern);
         let suspicion = descriptions.suspicion(&trains);
         let Some(wrong) = suspicion.filter(|s| descriptions.confirmed(*s, &trains)) else { return true };
-        self.untrusted = true;
-        // First: what else departs from the model follows from it.
+        // What else departs from the model follows from it.
+        (self.misdescribed, self.untrusted) = (true, true);
         self.remarks.insert(0, format!("{wrong}; no effect is looked for, correct it and diagnose again"));
         false
     }

@@ -9,19 +9,9 @@ use cpcm_shared::passage::Buffer;
 use cpcm_shared::sample::SensorCode;
 use cpcm_shared::sampler::{Event, Sampler};
 use cpcm_shared::timing::{TrainMatch, coarse, find_train};
+use cpcm_tests::sample::{KNOWN_SITES, REFERENCE_SITES};
 use embassy_futures::block_on;
 use field::{Recording, axle_offsets_m, recordings, train};
-
-const TRUE_SPEED: [&str; 3] = ["reference-1", "reference-2", "reference-3"];
-const OPERATOR_SPEED: [&str; 7] = [
-    "known-clock-error",
-    "known-gain-temperature",
-    "known-load-transfer",
-    "known-pad-stiffness",
-    "known-saturation",
-    "known-voided-sleepers",
-    "known-wheel-out-of-roundness",
-];
 
 /// Sensor noise for the time before and after a recording: the recording's own first 0.1 s, to and fro.
 fn quiet(recording: &Recording, seconds: usize) -> impl Iterator<Item = f32> {
@@ -99,12 +89,12 @@ fn score(site: &str) -> Vec<f64> {
 #[test]
 fn reference_speed_and_axles_of_field_recordings() {
     println!("{:<30} {:>8} {:>8} {:>8}  axles coher. scatter", "site", "speed", "median %", "largest %");
-    for site in TRUE_SPEED {
+    for site in REFERENCE_SITES {
         let errors = score(site);
         assert!(errors.iter().all(|e| *e < tolerance::SPEED_LARGEST), "{site}");
         assert!(median(errors) < tolerance::SPEED_MEDIAN, "{site}");
     }
-    for site in OPERATOR_SPEED {
+    for site in KNOWN_SITES {
         let errors = score(site);
         if site != "known-clock-error" {
             assert!(errors.iter().all(|e| *e < tolerance::SPEED_OPERATOR), "{site}");
@@ -143,7 +133,7 @@ fn property_other_trains_are_not_mistaken() {
 
 #[test]
 fn property_quiet_parts_raise_no_alarm() {
-    for site in TRUE_SPEED.iter().chain(&OPERATOR_SPEED) {
+    for site in REFERENCE_SITES.iter().chain(&KNOWN_SITES) {
         for recording in recordings(site) {
             assert_eq!(sample(quiet(&recording, 10), |_| {}), [], "{site}");
         }

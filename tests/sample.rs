@@ -11,6 +11,20 @@ use cpcm::recording::truth::{Side, Truth, WheelTruth, read_truth};
 use cpcm::recording::{Passage, Scan, Site, read_site};
 use cpcm::signal::{mean, quantile, rms};
 
+/// Field recordings without an effect, whose truth is known, speeds included.
+pub const REFERENCE_SITES: [&str; 3] = ["reference-1", "reference-2", "reference-3"];
+
+/// Field recordings whose effect is known; speeds are the operator's.
+pub const KNOWN_SITES: [&str; 7] = [
+    "known-clock-error",
+    "known-gain-temperature",
+    "known-load-transfer",
+    "known-pad-stiffness",
+    "known-saturation",
+    "known-voided-sleepers",
+    "known-wheel-out-of-roundness",
+];
+
 /// Directory of a field recording.
 pub fn field(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("data/field").join(name)

@@ -12,7 +12,7 @@ use cpcm::recording::truth::read_truth;
 use cpcm::recording::{Passage, Site, TrafficDirection, read_site};
 use cpcm::scoring::{Score, score};
 use cpcm::vehicle::{AxlePattern, static_wheel_force_n};
-use cpcm_tests::sample::field;
+use cpcm_tests::sample::{KNOWN_SITES, REFERENCE_SITES, field};
 
 /// Some passages of a recorded site.
 fn some_of(name: &str, passages: usize) -> Site {
@@ -129,18 +129,7 @@ fn property_a_sensor_on_the_next_sleeper_is_noticed() {
 /// What acts on a site is no reason to doubt its description.
 #[test]
 fn property_sites_as_described_are_not_doubted() {
-    for name in [
-        "reference-1",
-        "reference-2",
-        "reference-3",
-        "known-clock-error",
-        "known-gain-temperature",
-        "known-load-transfer",
-        "known-pad-stiffness",
-        "known-saturation",
-        "known-voided-sleepers",
-        "known-wheel-out-of-roundness",
-    ] {
+    for name in REFERENCE_SITES.iter().chain(&KNOWN_SITES) {
         let Site { crossing, passages, .. } = some_of(name, 3);
         let pattern = AxlePattern::of_vehicle(&crossing.vehicle);
         let recordings: Vec<Recording> =

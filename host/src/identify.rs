@@ -2,6 +2,7 @@
 
 mod classes;
 mod described;
+mod directions;
 mod known;
 mod sound;
 
@@ -22,6 +23,7 @@ use crate::track::{Mesh, Track};
 use crate::vehicle::{AxleGroup, AxlePattern, static_wheel_force_n};
 
 use self::classes::{class_of, forces_of_classes};
+use self::directions::OneWay;
 use self::known::{Found, Known};
 use self::sound::explained;
 
@@ -111,6 +113,8 @@ pub struct IdentifiedSite<'s> {
     /// What the model leaves of every passage, squared, per value and in units of what it expects to leave.
     pub misfit: Vec<f64>,
     explained: Vec<bool>,
+    /// Passages of trains that run in the other direction than crossing.toml has it, by their place in the site.
+    pub other_way: Vec<usize>,
     /// Median noise of quiet track, RMS, m/s².
     quiet_m_s2: f64,
 }
@@ -242,10 +246,15 @@ pub fn identify<'s>(site: &'s Site, progress: &dyn Progress) -> Result<Identifie
         Known { problem: &problem, recordings: &recordings, speed_m_s, static_force_n: &static_force_n };
     let descriptions = Descriptions::new(crossing, &pattern);
     let all: Vec<usize> = (0..site.passages.len()).collect();
-    let (found, suspicion) =
-        rayon::join(|| known.of_sound_passages(progress), || descriptions.suspicion(&known.heard(&all)));
-    let (used, found) = found?;
-    known.check_sign(&found, &descriptions)?;
+    let quasi_static = known.quasi_static_fit(&all, progress);
+    let rough = quasi_static.start_of_evidence();
+    let (found, suspicion) = rayon::join(
+        || known.of_sound_passages(&all, quasi_static, progress),
+        || descriptions.suspicion(&known.heard(&all), &rough),
+    );
+    let found = found?;
+    known.check_sign(&found.1, &descriptions)?;
+    let OneWay { used, described, other, found } = known.one_way(found, &descriptions, progress)?;
     let misdescription = suspicion.filter(|s| descriptions.confirmed(*s, &known.heard(&used)));
     let Found { quasi_static, calibration, ballast, greens, nearby_greens, classes, timings, misfit } = found;
     let quiet: Vec<f64> = used.iter().map(|i| recordings[*i].quiet_rms_m_s2).collect();
@@ -257,7 +266,8 @@ pub fn identify<'s>(site: &'s Site, progress: &dyn Progress) -> Result<Identifie
         ballast,
         calibration,
         classes,
-        explained: explained(&used, &misfit),
+        explained: explained(&used, &described, &misfit),
+        other_way: other,
         quiet_m_s2: quantile(&quiet, 0.5),
         misdescription,
         used,
@@ -332,7 +342,7 @@ fn speeds(
 }
 
 /// Every n-th passage, `count` of them or a few less.
-fn spread_out<'p>(passages: &[SitePassage<'p>], count: usize) -> Vec<SitePassage<'p>> {
+fn spread_out<T: Copy>(passages: &[T], count: usize) -> Vec<T> {
     passages.iter().step_by(passages.len().div_ceil(count).max(1)).copied().collect()
 }
 

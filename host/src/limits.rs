@@ -9,6 +9,7 @@
 //! | `unlike-load` | axle load more than 10 % off the site's vehicle: forces follow in proportion |
 //! | `unlike-speed` | the operator states a speed more than 5 % off the one found: one of them, or the unit, is wrong |
 //! | `unlike-model` | the calibrated model does not explain the recording: spikes, gaps, drift, half a train, another train, or the whole site is not as described |
+//! | `other-direction` | the train runs in the other direction than crossing.toml has it; left out like one that the model does not explain |
 //! | `unlike-description` | the recordings fit another description of the panel far better: trains in the other direction, or the sensor one sleeper along |
 //! | `model-gap` | over the whole site the calibrated model leaves more than three times the noise of quiet track: something acts that it does not hold, `cpcm diagnose` may say what |
 //! | `large-deflection` | beyond 3 mm ballast is not linear: voids, which no linear track explains |
@@ -43,6 +44,9 @@ pub const CLIPPED: &str = "clipped";
 /// Flag of passages that site-wide results leave out while others are left.
 pub const UNLIKE_MODEL: &str = "unlike-model";
 
+/// Flag of passages in the other direction than crossing.toml has it.
+pub const OTHER_DIRECTION: &str = "other-direction";
+
 /// Flag of sites whose crossing.toml the recordings contradict.
 pub const UNLIKE_DESCRIPTION: &str = "unlike-description";
 
@@ -74,6 +78,8 @@ pub struct PassageLimits<'a> {
     pub excess_noise: f64,
     /// Whether the calibrated model explains the recording.
     pub explained: bool,
+    /// Whether the train runs in the other direction than crossing.toml has it.
+    pub other_way: bool,
     /// Whether the panel is as crossing.toml has it.
     pub described: bool,
     /// Reconstructed displacement of the sleeper, metres, positive down.
@@ -97,6 +103,7 @@ impl PassageLimits<'_> {
             ("unlike-load", unlike),
             ("unlike-speed", unlike_speed),
             (UNLIKE_MODEL, !self.explained),
+            (OTHER_DIRECTION, self.other_way),
             (UNLIKE_DESCRIPTION, !self.described),
             (MODEL_GAP, self.excess_noise > LARGE_EXCESS),
             ("large-deflection", deepest > LARGE_DEFLECTION_M),
@@ -130,6 +137,7 @@ mod tests {
             vehicle_axle_load_kg: 15_500.0,
             excess_noise: 1.0,
             explained: true,
+            other_way: false,
             described: true,
             displacement_m: &[0.0, 0.8e-3, -0.1e-3],
         }
@@ -154,6 +162,7 @@ mod tests {
         one(PassageLimits { axle_load_kg: 18_000.0, ..sound() }, "unlike-load");
         one(PassageLimits { stated_m_s: Some(158.4), ..sound() }, "unlike-speed");
         one(PassageLimits { explained: false, ..sound() }, "unlike-model");
+        one(PassageLimits { other_way: true, ..sound() }, "other-direction");
         one(PassageLimits { described: false, ..sound() }, "unlike-description");
         one(PassageLimits { excess_noise: 4.0, ..sound() }, "model-gap");
         one(PassageLimits { displacement_m: &[6e-3], ..sound() }, "large-deflection");

@@ -202,6 +202,7 @@ fn flags(identified: &IdentifiedSite, index: usize, displacement_m: &[f64]) -> V
         vehicle_axle_load_kg: site.crossing.vehicle.axle_load_kg,
         excess_noise: identified.excess_noise(index),
         explained: identified.explains(index),
+        other_way: identified.other_way.contains(&index),
         described: identified.misdescription.is_none(),
         displacement_m,
     }

@@ -122,11 +122,37 @@ impl<'a> EvidenceProblem<'a> {
 
     /// Moves the axle times and speeds of passages to where the model of `state` sees them.
     pub fn align(&self, state: &Calibration, passages: &mut [SitePassage]) -> Result<(), InverseError> {
-        let model = LowModel::new(self, &state.ballast, state.prior.half_m);
-        let site = self.site_model(&model, Vec::new(), &state.prior, &state.irregularity);
-        let posterior = site.posterior(passages)?;
-        realign(passages, &posterior);
+        realign(passages, &self.posterior_held(state, passages)?);
         Ok(())
+    }
+
+    /// Posterior of a site with the ballast of `state` held: a quarter of the work of [`posterior`](Self::posterior).
+    pub fn posterior_held(
+        &self,
+        state: &Calibration,
+        passages: &[SitePassage],
+    ) -> Result<SitePosterior, InverseError> {
+        self.posterior_on(&self.low_model(state), state, passages)
+    }
+
+    /// The same on a track that is at hand.
+    pub fn posterior_on(
+        &self,
+        model: &LowModel,
+        state: &Calibration,
+        passages: &[SitePassage],
+    ) -> Result<SitePosterior, InverseError> {
+        self.site_model(model, Vec::new(), &state.prior, &state.irregularity).posterior(passages)
+    }
+
+    /// The track on the ballast of `state`, whichever trains run on it.
+    pub fn low_model(&self, state: &Calibration) -> LowModel {
+        LowModel::new(self, &state.ballast, state.prior.half_m)
+    }
+
+    /// The same track for other trains of the same vehicle.
+    pub fn of_trains<'b>(&'b self, direction: f64, pattern: &'b AxlePattern) -> EvidenceProblem<'b> {
+        EvidenceProblem { direction, pattern, bogie: Arc::clone(&self.bogie), ..*self }
     }
 
     /// Posterior of a site, linearised about `state`, at the low sampling.
@@ -152,7 +178,7 @@ impl<'a> EvidenceProblem<'a> {
 
     /// Prior whose hyper-parameters the evidence prefers, all else as in `state`.
     pub fn refined(&self, state: &Calibration, passages: &[SitePassage]) -> Result<Prior, InverseError> {
-        let model = LowModel::new(self, &state.ballast, state.prior.half_m);
+        let model = self.low_model(state);
         let site = self.site_model(&model, Vec::new(), &state.prior, &state.irregularity);
         let prepared = site.prepared(passages)?;
         let evidence = |prior: &Prior| SiteModel { prior, ..site.clone() }.log_evidence(&prepared);
@@ -203,7 +229,7 @@ pub fn realign(passages: &mut [SitePassage], posterior: &SitePosterior) {
 }
 
 /// Track of given ballast at the low sampling.
-struct LowModel {
+pub struct LowModel {
     greens: GreensFunctions,
     interaction: Interaction,
 }

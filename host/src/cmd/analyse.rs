@@ -8,7 +8,7 @@ use clap::Args;
 use super::output::{print, warn, warn_skipped, with_effects};
 use super::progress::Bar;
 use crate::analysis::{Analysis, Condition};
-use crate::limits::{MODEL_GAP, UNLIKE_DESCRIPTION, UNLIKE_MODEL};
+use crate::limits::{MODEL_GAP, OTHER_DIRECTION, UNLIKE_DESCRIPTION, UNLIKE_MODEL};
 use crate::pipeline::{self, AnalyseOptions};
 use crate::recording::read_site;
 use crate::results::{summary_json, write_results};
@@ -57,7 +57,18 @@ fn warn_unexplained(analysis: &Analysis) {
         let flagged = analysis.passages.iter().filter(|p| p.has_flag(flag));
         flagged.map(|p| p.passage_id.to_string()).collect()
     };
-    let (unlike, all) = (flagged(UNLIKE_MODEL), analysis.passages.len());
+    let other_way = flagged(OTHER_DIRECTION);
+    if !other_way.is_empty() {
+        let described = analysis.crossing.traffic_direction;
+        let other = described.reversed();
+        warn(&format!(
+            "passages {} run {other}, not {described} (flag {OTHER_DIRECTION}) and are left out; for them, analyse a copy of the site with \
+             traffic_direction = \"{other}\" in crossing.toml",
+            other_way.join(", ")
+        ));
+    }
+    let (mut unlike, all) = (flagged(UNLIKE_MODEL), analysis.passages.len() - other_way.len());
+    unlike.retain(|id| !other_way.contains(id));
     if !unlike.is_empty() {
         let what = match unlike.len() < all {
             true => format!("passages {} are left out of ballast and indicators", unlike.join(", ")),

@@ -59,11 +59,21 @@ impl Known<'_> {
         some_of(which, &timings, self.recordings, self.static_force_n)
     }
 
-    /// Identifies the site from some of its passages.
-    pub(super) fn find(&self, which: &[usize], progress: &dyn Progress) -> Result<Found, IdentifyError> {
+    /// Ballast and axle times on which the sleeper sinks as recorded in some passages.
+    pub(super) fn quasi_static_fit(&self, which: &[usize], progress: &dyn Progress) -> QuasiStaticFit {
         progress.begin("ballast, quasi-static", 1);
-        let quasi_static = self.quasi_static(which).fit(BallastParameters::NOMINAL);
+        let fit = self.quasi_static(which).fit(BallastParameters::NOMINAL);
         progress.step();
+        fit
+    }
+
+    /// Identifies the site from some of its passages and their quasi-static fit.
+    pub(super) fn find(
+        &self,
+        which: &[usize],
+        quasi_static: QuasiStaticFit,
+        progress: &dyn Progress,
+    ) -> Result<Found, IdentifyError> {
         let mut passages = self.passages(which, &quasi_static.first_axle_s);
         let (calibration, ballast) = calibrate(self.problem, &quasi_static, &mut passages, progress)?;
         let EvidenceProblem { track, direction, pattern, .. } = self.problem;
@@ -113,6 +123,13 @@ impl Known<'_> {
         found.timings = merged(used, &found.timings, &others, &timings);
         Ok(found)
     }
+}
+
+/// Passages that hyper-parameters are learnt from: of the calibration, and of every class of speed.
+pub(super) fn hyper_passages(used: &[usize], classes: impl Iterator<Item = Vec<usize>>) -> Vec<usize> {
+    let mut all = spread_out(&spread_out(used, CALIBRATION_PASSAGES), HYPER_PASSAGES);
+    all.extend(classes.flat_map(|of_class| spread_out(&of_class, HYPER_PASSAGES)));
+    all
 }
 
 /// Values of some passages and of the others, in the order of the site.

@@ -2,6 +2,7 @@
 
 use super::IdentifyError;
 use super::known::{Found, Known};
+use crate::ballast::quasi_static::QuasiStaticFit;
 use crate::progress::Progress;
 use crate::signal::quantile;
 
@@ -16,25 +17,27 @@ const LEAST_MEDIAN: f64 = 0.25;
 /// Identifications at most.
 const ROUNDS: usize = 4;
 /// Passages that must stay.
-const LEAST_PASSAGES: usize = 3;
+pub(super) const LEAST_PASSAGES: usize = 3;
 
 impl Known<'_> {
-    /// Identifies the site, again without the passages that stand out, until none does; one that stood out because of another comes
-    /// back. Where fewer than half would be left, none is left out any more: nobody can tell then which ones are right.
+    /// Identifies the site from some passages with their quasi-static fit, again without those that stand out, until none does; one that stood out because of
+    /// another comes back. Where fewer than half would be left, none is left out any more: nobody can tell then which ones are right.
     pub(super) fn of_sound_passages(
         &self,
+        some: &[usize],
+        quasi_static: QuasiStaticFit,
         progress: &dyn Progress,
     ) -> Result<(Vec<usize>, Found), IdentifyError> {
-        let all = self.speed_m_s.len();
-        let mut used: Vec<usize> = (0..all).collect();
-        let mut found = self.find(&used, progress)?;
+        let mut used = some.to_vec();
+        let mut found = self.find(&used, quasi_static, progress)?;
         for _ in 1..ROUNDS {
             found = self.with_the_others(&used, found)?;
-            let stay = staying(&used, &found.misfit);
-            if stay == used || stay.len() < LEAST_PASSAGES || 2 * stay.len() < all {
+            let mut stay = staying(&used, &found.misfit);
+            stay.retain(|i| some.contains(i));
+            if stay == used || stay.len() < LEAST_PASSAGES || 2 * stay.len() < some.len() {
                 return Ok((used, found));
             }
-            found = self.find(&stay, progress)?;
+            found = self.find(&stay, self.quasi_static_fit(&stay, progress), progress)?;
             used = stay;
         }
         let found = self.with_the_others(&used, found)?;
@@ -49,13 +52,13 @@ fn staying(used: &[usize], misfit: &[f64]) -> Vec<usize> {
     (0..misfit.len()).filter(|i| misfit[*i] <= limit).collect()
 }
 
-/// Which passages the model explains. None where it explains less than half of them: what little it has left of the others is then no
-/// proof of it.
-pub(super) fn explained(used: &[usize], misfit: &[f64]) -> Vec<bool> {
+/// Which passages the model explains. None where it explains less than half of those that it should: what little it has left of the
+/// others is then no proof of it.
+pub(super) fn explained(used: &[usize], should: &[usize], misfit: &[f64]) -> Vec<bool> {
     let mut explained = vec![false; misfit.len()];
     used.iter().for_each(|i| explained[*i] = misfit[*i] <= UNLIKE);
     let count = explained.iter().filter(|e| **e).count();
-    if 2 * count < misfit.len() { vec![false; misfit.len()] } else { explained }
+    if 2 * count < should.len() { vec![false; misfit.len()] } else { explained }
 }
 
 #[cfg(test)]
@@ -64,9 +67,11 @@ mod tests {
 
     #[test]
     fn property_less_than_half_is_nothing() {
-        assert_eq!(explained(&[0, 1, 3], &[0.5, 3.5, 0.4, 2.0]), [true, false, false, true]);
-        assert_eq!(explained(&[0, 1, 3], &[0.5, 3.5, 0.4, 9.0]), [false; 4]);
-        assert!(explained(&[], &[]).is_empty());
+        let all = [0, 1, 2, 3];
+        assert_eq!(explained(&[0, 1, 3], &all, &[0.5, 3.5, 0.4, 2.0]), [true, false, false, true]);
+        assert_eq!(explained(&[0, 1, 3], &all, &[0.5, 3.5, 0.4, 9.0]), [false; 4]);
+        assert_eq!(explained(&[0, 1], &[0, 1], &[0.5, 3.5, 0.4, 9.0]), [true, false, false, false]);
+        assert!(explained(&[], &[], &[]).is_empty());
     }
 
     #[test]

@@ -15,6 +15,9 @@ use super::train::{Axle, Group, Train};
 use super::wheel::{Basis, Running, SIDES, TrackModel};
 use crate::track::Side;
 
+/// Phase below which a sine is its argument, radians: exact to 2e-13.
+const NEAR: f64 = 1e-6;
+
 /// Why an estimator could not be built.
 #[derive(Debug, thiserror::Error, PartialEq)]
 pub enum InverseError {
@@ -266,11 +269,17 @@ impl Estimator {
     fn low_pass(&self, grid_m: &[f64], low_pass_hz: f64) -> Mat<f64> {
         let scale = 2.0 * low_pass_hz / self.rate_hz;
         let (wheel, running) = (&self.train.wheel, &self.train.running);
-        Mat::from_fn(grid_m.len(), wheel.position_m.len(), |i, j| {
-            let t = running.direction * grid_m[i] / running.speed_m_s;
-            let u = 2.0 * low_pass_hz * (t - (wheel.first_sample + j as i64) as f64 / self.rate_hz);
-            let pi_u = std::f64::consts::PI * u;
-            scale * if pi_u.abs() < 1e-9 { 1.0 } else { pi_u.sin() / pi_u }
+        let phase = |time_s: f64| std::f64::consts::TAU * low_pass_hz * time_s;
+        let samples =
+            (0..wheel.position_m.len()).map(|j| phase((wheel.first_sample + j as i64) as f64 / self.rate_hz));
+        let samples: Vec<(f64, (f64, f64))> = samples.map(|p| (p, p.sin_cos())).collect();
+        let places = grid_m.iter().map(|x| phase(running.direction * x / running.speed_m_s));
+        let places: Vec<(f64, (f64, f64))> = places.map(|p| (p, p.sin_cos())).collect();
+        Mat::from_fn(grid_m.len(), samples.len(), |i, j| {
+            let ((place, (s, c)), (sample, (sample_s, sample_c))) = (places[i], samples[j]);
+            let distance = place - sample;
+            // The sine of the distance, by those of its ends: one for each row and column.
+            scale * if distance.abs() < NEAR { 1.0 } else { (s * sample_c - c * sample_s) / distance }
         })
     }
 }

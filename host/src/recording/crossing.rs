@@ -1,5 +1,7 @@
 //! `crossing.toml`: what the operator knows of a crossing panel (nominal values, SI units).
 
+use std::fmt;
+
 use serde::{Deserialize, Serialize};
 
 /// The whole file. Coordinates: x along the track, 0 at the nose tip, growing from the wing rail towards the nose.
@@ -69,6 +71,24 @@ impl TrafficDirection {
             TrafficDirection::Facing => 1.0,
             TrafficDirection::Trailing => -1.0,
         }
+    }
+
+    /// The other one.
+    pub fn reversed(self) -> Self {
+        match self {
+            TrafficDirection::Facing => TrafficDirection::Trailing,
+            TrafficDirection::Trailing => TrafficDirection::Facing,
+        }
+    }
+}
+
+impl fmt::Display for TrafficDirection {
+    /// As in crossing.toml.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            TrafficDirection::Facing => "facing",
+            TrafficDirection::Trailing => "trailing",
+        })
     }
 }
 

@@ -1,7 +1,7 @@
 //! The box on top: condition, urgency, action, and what they rest on.
 
 use crate::analysis::{Analysis, BallastEstimate, Condition, Interval, Spread};
-use crate::recording::{Design, TrafficDirection};
+use crate::recording::Design;
 
 use super::page::escape;
 
@@ -41,10 +41,7 @@ fn subtitle(analysis: &Analysis) -> String {
         Design::Uic60 => "UIC60 (stiff pads)",
         Design::E60 => "60E (soft pads)",
     };
-    let direction = match c.traffic_direction {
-        TrafficDirection::Facing => "facing",
-        TrafficDirection::Trailing => "trailing",
-    };
+    let direction = c.traffic_direction;
     let (slow, fast) = speeds_km_h(analysis);
     let load = c.vehicle.axle_load_kg / 1e3;
     format!(

@@ -78,7 +78,7 @@ impl Session<'_> {
         let trains: Vec<Heard> =
             self.base.frame.observed.iter().map(|o| (&o.recording, o.speed_m_s, force_n(o))).collect();
         let descriptions = Descriptions::new(crossing, &pattern);
-        let suspicion = descriptions.suspicion(&trains);
+        let suspicion = descriptions.suspicion(&trains, &descriptions.rough_ballast(&trains));
         let Some(wrong) = suspicion.filter(|s| descriptions.confirmed(*s, &trains)) else { return true };
         // What else departs from the model follows from it.
         (self.misdescribed, self.untrusted) = (true, true);

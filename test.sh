@@ -38,6 +38,11 @@ step "documentation"
 RUSTDOCFLAGS="-D warnings" cargo doc --release --no-deps --workspace --exclude cpcm-node
 
 step "firmware: flash and RAM of both boards"
+# The images keep one core busy most of the time; what the tests need compiles beside them.
+{ cargo fw && cargo fw-qemu; } >target/firmware.log 2>&1 &
+images=$!
+cargo test --release --no-run --package cpcm --package cpcm-tests --lib --test '*'
+wait "$images" || { cat target/firmware.log >&2; exit 1; }
 cargo test --release --package cpcm-tests --test firmware -- --nocapture
 
 step "tests"

@@ -131,3 +131,5 @@ pub const SHIFT: f64 = 0.2;
 /// Model against the simulator of the trials where wheels are alike, RMS of the mean window relative to the signal: measured
 /// 0.0029, noise included.
 pub const ALIKE_WHEELS: f64 = 0.01;
+/// Force peak of a train beside others that are left out, relative: the same arithmetic on the same recordings.
+pub const BESIDE_OTHERS: f64 = 1e-9;

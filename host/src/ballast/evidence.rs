@@ -150,11 +150,6 @@ impl<'a> EvidenceProblem<'a> {
         LowModel::new(self, &state.ballast, state.prior.half_m)
     }
 
-    /// The same track for other trains of the same vehicle.
-    pub fn of_trains<'b>(&'b self, direction: f64, pattern: &'b AxlePattern) -> EvidenceProblem<'b> {
-        EvidenceProblem { direction, pattern, bogie: Arc::clone(&self.bogie), ..*self }
-    }
-
     /// Posterior of a site, linearised about `state`, at the low sampling.
     pub fn posterior(
         &self,

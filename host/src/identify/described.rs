@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use crate::ballast::BallastParameters;
 use crate::ballast::evidence::{Calibration, EvidenceProblem};
-use crate::ballast::quasi_static::QuasiStatic;
+use crate::ballast::quasi_static::{QuasiStatic, QuasiStaticFit};
 use crate::inverse::hierarchy::SitePassage;
 use crate::reconstruct::{Recording, Timing};
 use crate::recording::{Crossing, TrafficDirection};
@@ -67,8 +67,8 @@ pub type Heard<'r> = (&'r Recording, f64, f64);
 
 /// Descriptions of a panel that are to be told apart.
 pub struct Descriptions<'a> {
-    pattern: &'a AxlePattern,
-    described: Crossing,
+    pub(super) pattern: &'a AxlePattern,
+    pub(super) described: Crossing,
     others: Vec<Other>,
 }
 
@@ -131,7 +131,7 @@ impl<'a> Descriptions<'a> {
         let inverted = recording.inverted();
         let train = (&inverted, speed_m_s, static_force_n);
         let others: Vec<&Other> = self.others.iter().collect();
-        let start = self.rough_ballast(&[train]);
+        let start = self.quasi_static(&[train]).start_of_evidence();
         let (described, others) = self.of_each(Ballast::Free, &others, &start, train);
         others.iter().chain([&described]).any(|e| e.misfit <= EXPLAINS)
     }
@@ -157,7 +157,7 @@ impl<'a> Descriptions<'a> {
     }
 
     /// Whether a train runs in the direction of crossing.toml on about this ballast, where that is plain.
-    pub fn runs_as_described(&self, train: Heard, rough: &BallastParameters) -> Option<bool> {
+    pub(super) fn runs_as_described(&self, train: Heard, rough: &BallastParameters) -> Option<bool> {
         let other = self.others.iter().find(|(what, _)| matches!(what, Misdescription::Direction(_)))?;
         let (described, others) = self.of_each(Ballast::Free, &[other], rough, train);
         let other = others.first()?;
@@ -169,17 +169,16 @@ impl<'a> Descriptions<'a> {
 
     /// Whether a train prefers another description plainly.
     fn prefers(&self, other: &Other, train: Heard) -> bool {
-        let start = self.rough_ballast(&[train]);
+        let start = self.quasi_static(&[train]).start_of_evidence();
         let (described, evidence) = self.of_each(Ballast::Free, &[other], &start, train);
         evidence.iter().all(|e| e.preferred_to(&described))
     }
 
-    /// Ballast on which the sleeper sinks as deep under some trains: much the same whatever the description.
-    pub fn rough_ballast(&self, trains: &[Heard]) -> BallastParameters {
+    /// Ballast and axle times on which the sleeper sinks as under some trains: much the same whatever the description.
+    pub fn quasi_static(&self, trains: &[Heard]) -> QuasiStaticFit {
         let track = Track::of_crossing(&self.described, Mesh::default());
         let direction = self.described.traffic_direction.sign();
-        let fit = QuasiStatic::new(&track, direction, self.pattern, trains).fit(BallastParameters::NOMINAL);
-        fit.start_of_evidence()
+        QuasiStatic::new(&track, direction, self.pattern, trains).fit(BallastParameters::NOMINAL)
     }
 
     /// Evidence of one train near a ballast, with nothing known of the forces; none where the estimate breaks down.

@@ -9,7 +9,7 @@ use crate::gap::fit::simulate;
 use crate::gap::measure::ALIGN_M;
 use crate::gap::world::World;
 use crate::identify::{Descriptions, Heard};
-use crate::recording::Site;
+use crate::recording::{Site, TrafficDirection};
 use crate::vehicle::{AxlePattern, static_wheel_force_n};
 
 /// Passages needed to look for an effect.
@@ -78,11 +78,38 @@ impl Session<'_> {
         let trains: Vec<Heard> =
             self.base.frame.observed.iter().map(|o| (&o.recording, o.speed_m_s, force_n(o))).collect();
         let descriptions = Descriptions::new(crossing, &pattern);
-        let suspicion = descriptions.suspicion(&trains, &descriptions.rough_ballast(&trains));
-        let Some(wrong) = suspicion.filter(|s| descriptions.confirmed(*s, &trains)) else { return true };
-        // What else departs from the model follows from it.
+        let quasi_static = descriptions.quasi_static(&trains);
+        let rough = quasi_static.start_of_evidence();
+        let suspicion = descriptions.suspicion(&trains, &rough);
+        let Some(wrong) = suspicion.filter(|s| descriptions.confirmed(*s, &trains)) else {
+            let directions = descriptions.directions(&trains, &quasi_static.first_axle_s, &rough);
+            return self.of_one_direction(&directions, crossing.traffic_direction);
+        };
+        self.follows_from(format!("{wrong}; no effect is looked for, correct it and diagnose again"));
+        false
+    }
+
+    /// Says what all else that departs from the model follows from.
+    fn follows_from(&mut self, remark: String) {
         (self.misdescribed, self.untrusted) = (true, true);
-        self.remarks.insert(0, format!("{wrong}; no effect is looked for, correct it and diagnose again"));
+        self.remarks.insert(0, remark);
+    }
+
+    /// Whether no train plainly runs the other way. Those that do are named.
+    fn of_one_direction(&mut self, as_described: &[Option<bool>], described: TrafficDirection) -> bool {
+        let trains = self.base.frame.observed.iter().zip(as_described);
+        let other: Vec<i32> = trains
+            .filter(|(_, as_described)| **as_described == Some(false))
+            .map(|(o, _)| o.passage_id)
+            .collect();
+        if other.is_empty() {
+            return true;
+        }
+        self.follows_from(format!(
+            "passages {other:?} run {}, not {described}: no effect is looked for, leave them out; for them, diagnose a copy of the site with \
+             the other traffic_direction in crossing.toml, without these",
+            described.reversed()
+        ));
         false
     }
 

@@ -30,6 +30,28 @@ fn regress_page_is_self_contained_and_reproducible() {
     assert!(page.len() < 4_000_000, "{} bytes", page.len());
 }
 
+/// Curves of left-out passages were drawn with the others, and moved their mean.
+#[test]
+fn regress_figures_leave_out_passages_that_mean_nothing() {
+    let clean = sample_analysis();
+    let mut spoilt = clean.clone();
+    let mut passage = clean.passages[0].clone();
+    for wheelset in &mut passage.wheelsets {
+        wheelset.flags.push("unlike-model".into());
+        wheelset.contact_force_n.iter_mut().for_each(|f| *f *= 10.0);
+    }
+    spoilt.passages.push(passage);
+    let figure = |page: &str| -> String {
+        let (_, after) = page.split_once("contact force over position for all wheelsets").unwrap();
+        after.split_once("</svg>").unwrap().0.into()
+    };
+    let [page, sound] = [&spoilt, &clean].map(|analysis| report::html(analysis).unwrap());
+    assert_eq!(figure(&page), figure(&sound));
+    let left_out = format!("mean nothing: 1 of {} passages", spoilt.passages.len());
+    assert!(page.contains(&left_out));
+    assert!(!sound.contains("mean nothing"));
+}
+
 #[test]
 fn regress_page_of_an_empty_analysis_is_drawn() {
     let mut analysis = sample_analysis();

@@ -1,5 +1,7 @@
 //! What `analyse` finds out about a site: the structs that the results files and the report are written from.
 
+use std::borrow::Cow;
+
 use crate::identify::Misdescription;
 use crate::limits::UNLIKE_MODEL;
 use crate::recording::{Crossing, Scan, Skipped};
@@ -29,6 +31,16 @@ impl Analysis {
     pub fn used_and_left_out(&self) -> (usize, usize) {
         let used = self.passages.iter().filter(|p| p.explained()).count();
         (used, self.passages.len() - used + self.skipped.len())
+    }
+
+    /// The same of the passages that the model explains alone; of all where it explains none.
+    pub fn of_explained(&self) -> Cow<'_, Self> {
+        let explained: Vec<PassageResult> = self.passages.iter().filter(|p| p.explained()).cloned().collect();
+        match explained.len() {
+            0 => Cow::Borrowed(self),
+            all if all == self.passages.len() => Cow::Borrowed(self),
+            _ => Cow::Owned(Self { passages: explained, ..self.clone() }),
+        }
     }
 }
 

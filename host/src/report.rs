@@ -45,11 +45,13 @@ pub fn html(analysis: &Analysis) -> Result<String, ReportError> {
     let mut body = headline::html(analysis);
     body.push_str(&tables::skipped(analysis));
     body.push_str("<h2>Condition</h2>\n");
+    let explained = analysis.of_explained();
+    body.push_str(&left_out(analysis.passages.len() - explained.passages.len(), analysis.passages.len()));
     let condition = [
         indicator::figure(&analysis.indicators)?,
-        forces::figure(analysis)?,
-        peaks::figure(analysis)?,
-        irregularity::figure(analysis)?,
+        forces::figure(&explained)?,
+        peaks::figure(&explained)?,
+        irregularity::figure(&explained)?,
     ];
     body.extend(condition.iter().map(Figure::html));
     body.push_str("<h2>Support and measurement</h2>\n");
@@ -62,6 +64,16 @@ pub fn html(analysis: &Analysis) -> Result<String, ReportError> {
     body.push_str(&tables::flags(analysis));
     body.push_str(&provenance(analysis));
     Ok(page::document(&format!("{} \u{2013} crossing condition", analysis.crossing.name), &body))
+}
+
+fn left_out(passages: usize, all: usize) -> String {
+    match passages {
+        0 => String::new(),
+        _ => format!(
+            "<p>Left out of the figures of forces, peaks and irregularity, because theirs mean nothing: {passages} of {all} passages \
+             (flags below the table of peaks).</p>\n"
+        ),
+    }
 }
 
 fn provenance(analysis: &Analysis) -> String {

@@ -20,8 +20,9 @@ const ROUNDS: usize = 4;
 pub(super) const LEAST_PASSAGES: usize = 3;
 
 impl Known<'_> {
-    /// Identifies the site from some passages with their quasi-static fit, again without those that stand out, until none does; one that stood out because of
-    /// another comes back. Where fewer than half would be left, none is left out any more: nobody can tell then which ones are right.
+    /// Identifies the site from some passages with their quasi-static fit, again without those that stand out, until none does; one
+    /// that stood out because of another comes back. Where fewer than half would be left, none is left out any more: nobody can tell
+    /// then which ones are right.
     pub(super) fn of_sound_passages(
         &self,
         some: &[usize],

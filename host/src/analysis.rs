@@ -35,13 +35,19 @@ impl Analysis {
 
     /// The same of the passages that the model explains alone; of all where it explains none.
     pub fn of_explained(&self) -> Cow<'_, Self> {
-        let explained: Vec<PassageResult> = self.passages.iter().filter(|p| p.explained()).cloned().collect();
-        match explained.len() {
-            0 => Cow::Borrowed(self),
-            all if all == self.passages.len() => Cow::Borrowed(self),
-            _ => Cow::Owned(Self { passages: explained, ..self.clone() }),
+        if explained(&self.passages).len() == self.passages.len() {
+            return Cow::Borrowed(self);
         }
+        let mut some = self.clone();
+        some.passages.retain(PassageResult::explained);
+        Cow::Owned(some)
     }
+}
+
+/// Passages that the model explains; all where it explains none.
+pub fn explained(passages: &[PassageResult]) -> Vec<&PassageResult> {
+    let none = !passages.iter().any(PassageResult::explained);
+    passages.iter().filter(|p| none || p.explained()).collect()
 }
 
 /// A value with its 90 % interval.

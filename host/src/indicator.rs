@@ -2,7 +2,7 @@
 
 use faer::Mat;
 
-use crate::analysis::{Condition, Indicators, PassageResult, Spread, WheelsetResult};
+use crate::analysis::{Condition, Indicators, PassageResult, Spread, WheelsetResult, explained};
 use crate::identify::Misdescription;
 use crate::limits::{CLIPPED, MODEL_GAP};
 use crate::signal::{mean, quantile};
@@ -30,14 +30,12 @@ const GAP: &str = "Something acts that the calibrated model does not hold, so th
 
 /// Indicators of the passages that the model explains, of all where it explains none; `static_force_n` sets the force threshold.
 pub fn indicators(passages: &[PassageResult], position_m: &[f64], static_force_n: f64) -> Indicators {
-    let explained = passages.iter().filter(|p| p.explained()).count();
-    let counts = |p: &&PassageResult| explained == 0 || p.explained();
-    let wheels: Vec<&WheelsetResult> = passages.iter().filter(counts).flat_map(|p| &p.wheelsets).collect();
+    let wheels: Vec<&WheelsetResult> = explained(passages).into_iter().flat_map(|p| &p.wheelsets).collect();
     let peaks: Vec<f64> = wheels.iter().map(|w| w.peak_force_n.value).collect();
     let rms: Vec<f64> = wheels.iter().map(|w| w.irregularity_rms_m).collect();
     let peak_force_n = spread(&peaks, PEAK_RATIO_THRESHOLD * static_force_n);
     let irregularity_rms_m = spread(&rms, IRREGULARITY_RMS_THRESHOLD_M);
-    let nothing_explained = explained == 0 && !passages.is_empty();
+    let nothing_explained = !passages.is_empty() && !passages.iter().any(PassageResult::explained);
     let condition =
         if nothing_explained { Condition::Watch } else { condition(&peak_force_n, &irregularity_rms_m) };
     let advice = advice(condition, &peak_force_n, &irregularity_rms_m);

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
-use crate::analysis::{Analysis, BallastEstimate, Interval, PassageResult, WheelsetResult};
+use crate::analysis::{Analysis, BallastEstimate, Interval, PassageResult, WheelsetResult, explained};
 use crate::ballast::BallastParameters;
 use crate::forces::{LOW_PASS_HZ, WheelForce, all_wheel_forces};
 use crate::greens::moving::{WheelPath, constant_force_response};
@@ -293,10 +293,8 @@ fn ballast_estimate(identified: &IdentifiedSite, passages: &[PassageResult]) -> 
     let stiffness_n_m2 = (0..identified.track.sleeper_x_m.len())
         .map(|s| sleeper_interval(&p, &fit.covariance, s as i64 - crossing as i64))
         .collect();
-    let explained = passages.iter().any(PassageResult::explained);
-    let difference: Vec<f64> = passages
-        .iter()
-        .filter(|r| !explained || r.explained())
+    let difference: Vec<f64> = explained(passages)
+        .into_iter()
         .map(|r| {
             let e: Vec<f64> =
                 r.displacement_m.iter().zip(&r.model_displacement_m).map(|(a, b)| a - b).collect();

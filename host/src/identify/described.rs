@@ -5,6 +5,7 @@ use std::fmt;
 
 use rayon::prelude::*;
 
+use super::spread_out;
 use crate::ballast::BallastParameters;
 use crate::ballast::evidence::{Calibration, EvidenceProblem};
 use crate::ballast::quasi_static::{QuasiStatic, QuasiStaticFit};
@@ -32,12 +33,14 @@ pub enum Misdescription {
 impl fmt::Display for Misdescription {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Direction(TrafficDirection::Facing) => f.write_str(
-                "trains run facing (towards +x), not trailing: see traffic_direction in crossing.toml",
-            ),
-            Self::Direction(TrafficDirection::Trailing) => f.write_str(
-                "trains run trailing (towards -x), not facing: see traffic_direction in crossing.toml",
-            ),
+            Self::Direction(way) => {
+                let towards = if way.sign() > 0.0 { '+' } else { '-' };
+                let described = way.reversed();
+                write!(
+                    f,
+                    "trains run {way} (towards {towards}x), not {described}: see traffic_direction in crossing.toml"
+                )
+            }
             Self::SensorSleeper { x_m, described_m } => write!(
                 f,
                 "the sensor is on a sleeper near x = {x_m:.1} m, not at {described_m:.1} m: see crossing_sleeper_x_m and sleeper_index in \
@@ -151,7 +154,7 @@ impl<'a> Descriptions<'a> {
     /// Whether most trains would have it like that, too; one may be spoilt.
     pub fn confirmed(&self, suspicion: Misdescription, trains: &[Heard]) -> bool {
         let Some(other) = self.others.iter().find(|(what, _)| *what == suspicion) else { return false };
-        let jury = of_jury(trains);
+        let jury = spread_out(trains, JURY);
         let agreed = jury.par_iter().filter(|train| self.prefers(other, **train)).count();
         agreed as f64 >= AGREED * jury.len() as f64
     }
@@ -159,9 +162,8 @@ impl<'a> Descriptions<'a> {
     /// Whether a train runs in the direction of crossing.toml on about this ballast, where that is plain.
     pub(super) fn runs_as_described(&self, train: Heard, rough: &BallastParameters) -> Option<bool> {
         let other = self.others.iter().find(|(what, _)| matches!(what, Misdescription::Direction(_)))?;
-        let (described, others) = self.of_each(Ballast::Free, &[other], rough, train);
-        let other = others.first()?;
-        match (described.preferred_to(other), other.preferred_to(&described)) {
+        let [described, other] = self.pair(other, rough, train);
+        match (described.preferred_to(&other), other.preferred_to(&described)) {
             (false, false) => None,
             (as_described, _) => Some(as_described),
         }
@@ -170,8 +172,14 @@ impl<'a> Descriptions<'a> {
     /// Whether a train prefers another description plainly.
     fn prefers(&self, other: &Other, train: Heard) -> bool {
         let start = self.quasi_static(&[train]).start_of_evidence();
-        let (described, evidence) = self.of_each(Ballast::Free, &[other], &start, train);
-        evidence.iter().all(|e| e.preferred_to(&described))
+        let [described, other] = self.pair(other, &start, train);
+        other.preferred_to(&described)
+    }
+
+    /// Evidence of one train for the panel of crossing.toml and for another.
+    fn pair(&self, (_, other): &Other, start: &BallastParameters, train: Heard) -> [Evidence; 2] {
+        let of = |panel: &Crossing| self.evidence(Ballast::Free, panel, start, train);
+        rayon::join(|| of(&self.described), || of(other)).into()
     }
 
     /// Ballast and axle times on which the sleeper sinks as under some trains: much the same whatever the description.
@@ -207,10 +215,6 @@ impl<'a> Descriptions<'a> {
         };
         found.map_or(Evidence::NONE, |p| Evidence { log_evidence: p.log_evidence, misfit: mean(&p.misfit) })
     }
-}
-
-fn of_jury<'r>(trains: &[Heard<'r>]) -> Vec<Heard<'r>> {
-    trains.iter().step_by(trains.len().div_ceil(JURY).max(1)).copied().collect()
 }
 
 /// The train that shakes the sleeper as much as most do: one that is spoilt says nothing.

@@ -105,10 +105,10 @@ impl Session<'_> {
         if other.is_empty() {
             return true;
         }
+        let reversed = described.reversed();
         self.follows_from(format!(
-            "passages {other:?} run {}, not {described}: no effect is looked for, leave them out; for them, diagnose a copy of the site with \
-             the other traffic_direction in crossing.toml, without these",
-            described.reversed()
+            "passages {other:?} run {reversed}, not {described}: no effect is looked for, leave them out; for them, diagnose a copy of the \
+             site with these passages alone and traffic_direction = \"{reversed}\" in crossing.toml"
         ));
         false
     }

@@ -8,7 +8,7 @@ use cpcm::gap::effect::Stage;
 use cpcm::gap::effects::COMMON;
 use cpcm::gap::verdict::Verdict;
 use cpcm::progress::Silent;
-use cpcm::recording::{Site, TrafficDirection};
+use cpcm::recording::{Passage, Site, TrafficDirection};
 use cpcm::scenario::{read_scenario, simulate};
 use cpcm_tests::diagnosed::{field, full, named, quick, says, small};
 
@@ -55,6 +55,40 @@ fn regress_trains_that_run_the_other_way_are_told() {
     let found = full(&site);
     assert_eq!(found.verdict, Verdict::Unexplained);
     assert!(found.effects.is_empty() && says(&found, "trains run facing"), "{:?}", found.remarks);
+}
+
+/// Trains of both directions at one sensor, the others from another crossing: the site is that of the described direction, without effect.
+#[test]
+fn property_trains_of_the_other_direction_are_left_out() {
+    let mut site = small("reference-1", 9);
+    site.passages.extend(
+        small("known-clock-error", 3)
+            .passages
+            .into_iter()
+            .zip(900..)
+            .map(|(p, passage_id)| Passage { passage_id, ..p }),
+    );
+    let found = full(&site);
+    assert!(
+        says(&found, "run trailing, not facing") && says(&found, "they are left out"),
+        "{:?}",
+        found.remarks
+    );
+    assert_eq!((found.verdict, found.stage), (Verdict::NoGap, None), "{:?}", found.remarks);
+    assert!(found.predictions.iter().all(|p| p.passage_id < 900));
+}
+
+/// A crossing rail was named with 0.87: the path that is estimated for want of a scan is not the scan's.
+#[test]
+fn regress_nothing_is_sure_without_a_scan() {
+    let mut site = small("reference-2", 12);
+    site.scan = None;
+    let found = full(&site);
+    assert!(matches!(found.verdict, Verdict::NoGap | Verdict::Unexplained), "{:?}", found.verdict);
+    assert!(found.effects.iter().all(|e| e.probability <= 0.5), "{:?}", found.effects);
+    if found.verdict == Verdict::Unexplained {
+        assert!(found.may_be_path && says(&found, "scan the crossing"), "{:?}", found.remarks);
+    }
 }
 
 /// Everything above a fifth of what occurs is cut off: saturation may be named, nothing else.

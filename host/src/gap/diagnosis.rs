@@ -88,6 +88,8 @@ pub struct Ranked {
 pub struct Diagnosis {
     /// The verdict.
     pub verdict: Verdict,
+    /// Whether what is unexplained may be the path's, which was estimated for want of a laser scan.
+    pub may_be_path: bool,
     /// Effects in the order of their discovery.
     pub effects: Vec<Named>,
     /// All effects of the catalogue.
@@ -235,6 +237,13 @@ pub fn diagnose(
         searched = false;
     }
     searched &= session.well_described(site) && session.trustworthy(site);
+    if !session.other_way.is_empty() {
+        let other_way = std::mem::take(&mut session.other_way);
+        let mut out = diagnose(&without(site, &other_way), options, progress)?;
+        out.remarks.insert(0, trust::left_out(&other_way, site.crossing.traffic_direction));
+        out.seconds = clock.elapsed().as_secs_f64();
+        return Ok(out);
+    }
     if searched {
         let doubtful = site.scan.is_some() && session.scan_is_foreign(site, &before);
         let open = doubtful.then(|| session.shared_squares()).transpose()?;
@@ -254,6 +263,13 @@ pub fn diagnose(
     }
     out.seconds = clock.elapsed().as_secs_f64();
     Ok(out)
+}
+
+/// The same site without some of its passages.
+fn without(site: &Site, passage_id: &[i32]) -> Site {
+    let (crossing, scan, skipped) = (site.crossing.clone(), site.scan.clone(), site.skipped.clone());
+    let left = site.passages.iter().filter(|p| !passage_id.contains(&p.passage_id));
+    Site { crossing, scan, skipped, passages: left.cloned().collect() }
 }
 
 /// Evenly spread part of a list.
@@ -286,6 +302,8 @@ struct Session<'a> {
     withdrawn: Vec<&'static str>,
     foreign_scan: bool,
     misdescribed: bool,
+    /// Passages of trains that run in the other direction, without which the site is to be diagnosed.
+    other_way: Vec<i32>,
     /// The recordings or the scan cannot be what they are said to be: no gap of theirs means anything.
     untrusted: bool,
     /// Range of a transducer that clips, m/s², in the catalogue or not.
@@ -322,6 +340,7 @@ impl<'a> Session<'a> {
             withdrawn: Vec::new(),
             foreign_scan: false,
             misdescribed: false,
+            other_way: Vec::new(),
             untrusted: false,
             clips_at_m_s2: None,
             scatter: (0.0, 0.0),

@@ -63,6 +63,9 @@ pub fn sentence(d: &Diagnosis) -> String {
         Verdict::PartlyExplained => {
             format!("Partly explained by {}; the rest of the gap is not.", names.join(" and "))
         }
+        Verdict::Unexplained if d.may_be_path => {
+            "What the model leaves may be the path, which was estimated for want of a laser scan: see the notes.".into()
+        }
         Verdict::Unexplained if closed(&d.gap) => {
             "The gap is hardly larger than what differs from bogie to bogie, but something acts that nothing in the catalogue explains: see \
              the notes."

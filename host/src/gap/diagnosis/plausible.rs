@@ -29,6 +29,8 @@ const MOST_DISPLACEMENT_LEFT: f64 = 0.5;
 
 /// What speaks against a model from outside its residual.
 pub(super) struct Denial {
+    /// Whether a path that is estimated, because there is no laser scan, can make it as well.
+    pub of_path: bool,
     /// Where it points, if anywhere.
     pub stage: Option<Stage>,
     /// What to do about it.
@@ -53,6 +55,7 @@ impl Session<'_> {
     /// What denies the model in a state, however small the gap.
     pub(super) fn denials(&self, state: &State) -> Result<Vec<Denial>, GapError> {
         let path = state.untenable(&self.base.frame).map(|side| Denial {
+            of_path: true,
             stage: None,
             remark: match side {
                 Side::Crossing => {
@@ -67,6 +70,7 @@ impl Session<'_> {
             .into(),
         });
         let bed = state.odd_bed().then(|| Denial {
+            of_path: true,
             stage: None,
             remark: format!(
                 "model and recordings agree only over ballast that changes from sleeper to sleeper around the crossing as hardly a bed \
@@ -93,6 +97,7 @@ impl Session<'_> {
         let samples: usize = self.split.train.iter().flat_map(|i| &observed[*i].windows).map(Vec::len).sum();
         let share = samples as f64 * (found_m_s2.powi(2) - stated_m_s2.powi(2)) / self.scatter.1;
         (share > APART_SHARE && found_m_s2 > MORE_THAN_NOISE * stated_m_s2).then(|| Denial {
+            of_path: false,
             stage: Some(Stage::Sensor),
             remark: format!(
                 "before trains come the sensor shows {found_m_s2:.2} m/s\u{b2} (RMS below {:.0} Hz), of which its stated noise is \
@@ -109,6 +114,7 @@ impl Session<'_> {
 
     fn clipping_denial(&self) -> Option<Denial> {
         Some(Denial {
+            of_path: false,
             stage: Some(Stage::Sensor),
             remark: format!(
                 "values pile up at \u{b1}{:.1} m/s\u{b2} in most recordings: the transducer clips there, which no effect found accounts \
@@ -123,6 +129,7 @@ impl Session<'_> {
         let named = self.named.iter().any(|n| n.stage == Stage::Timing);
         let (mean, sd) = clock_by_operator(&self.base.frame).filter(|c| shows(c) && !named)?;
         Some(Denial {
+            of_path: false,
             stage: Some(Stage::Timing),
             remark: format!(
                 "by the operator's speeds the recorder's clock is off by {:.1} ± {:.1} %, which no effect found accounts for: check \
@@ -138,6 +145,7 @@ impl Session<'_> {
         let sought = self.named.is_empty() && !self.base.fit.lost();
         let how = sought.then(|| self.base.variation.unnatural()).flatten()?;
         Some(Denial {
+            of_path: false,
             stage: Some(Stage::Vehicle),
             remark: format!("wheels differ from one another more than sound wheels do, {how}"),
         })
@@ -147,6 +155,7 @@ impl Session<'_> {
     fn lost_denial(&self) -> Option<Denial> {
         let misfit = self.base.fit.inflation();
         (self.named.is_empty() && self.base.fit.lost()).then(|| Denial {
+            of_path: true,
             stage: None,
             remark: format!(
                 "what all bogies share departs from the model by {:.1} times what differs from bogie to bogie accounts for: something acts \
@@ -165,6 +174,7 @@ impl Session<'_> {
             false => (", with the effects named,", MOST_DISPLACEMENT_LEFT),
         };
         Ok((excess > most).then(|| Denial {
+            of_path: true,
             stage: None,
             remark: format!(
                 "the sleeper's displacement departs from the model{with} by {:.1} times what differs from bogie to bogie: look at the \

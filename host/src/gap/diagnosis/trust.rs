@@ -22,6 +22,19 @@ const FOREIGN_SCAN: (f64, f64, f64) = (0.7, 0.3, 0.5);
 /// to be this crossing's.
 const CLEARED: f64 = 0.25;
 
+/// What is said of trains in the other direction that a diagnosis has left out.
+pub(super) fn left_out(other_way: &[i32], described: TrafficDirection) -> String {
+    format!("{}; they are left out", other_direction(other_way, described))
+}
+
+fn other_direction(other_way: &[i32], described: TrafficDirection) -> String {
+    let reversed = described.reversed();
+    format!(
+        "passages {other_way:?} run {reversed}, not {described}: for them, diagnose a copy of the site with these passages alone and \
+         traffic_direction = \"{reversed}\" in crossing.toml"
+    )
+}
+
 impl Session<'_> {
     /// What the site does not allow to tell.
     pub(super) fn remark_on(&mut self, site: &Site) {
@@ -95,7 +108,8 @@ impl Session<'_> {
         self.remarks.insert(0, remark);
     }
 
-    /// Whether no train plainly runs the other way. Those that do are named.
+    /// Whether no train plainly runs the other way. Those that do are left out where enough others plainly run as described, and named
+    /// as what nothing can be told from otherwise.
     fn of_one_direction(&mut self, as_described: &[Option<bool>], described: TrafficDirection) -> bool {
         let trains = self.base.frame.observed.iter().zip(as_described);
         let other: Vec<i32> = trains
@@ -105,11 +119,11 @@ impl Session<'_> {
         if other.is_empty() {
             return true;
         }
-        let reversed = described.reversed();
-        self.follows_from(format!(
-            "passages {other:?} run {reversed}, not {described}: no effect is looked for, leave them out; for them, diagnose a copy of the \
-             site with these passages alone and traffic_direction = \"{reversed}\" in crossing.toml"
-        ));
+        if as_described.iter().filter(|a| **a == Some(true)).count() >= LEAST_PASSAGES {
+            self.other_way = other;
+        } else {
+            self.follows_from(format!("{}; no effect is looked for", other_direction(&other, described)));
+        }
         false
     }
 

@@ -9,6 +9,7 @@ pub mod data;
 pub mod diagnosis;
 pub mod effect;
 pub mod effects;
+pub mod estimated_path;
 pub mod fit;
 pub mod forward;
 pub mod hammer;

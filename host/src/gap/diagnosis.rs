@@ -16,6 +16,7 @@ use super::GapError;
 use super::base::{Base, PathPrior, base, nominal_world};
 use super::effect::{Effect, Hints, Stage};
 use super::effects::{COMMON, LATENT, advice};
+use super::estimated_path::{ESTIMATED_PATH_PRIOR, with_estimated_path};
 use super::fit::{Fit, State};
 use super::hammer::Hammer;
 use super::ladder::Rung;
@@ -177,6 +178,9 @@ pub const PATH_PRIOR: PathPrior = PathPrior { inside_m: 10e-6, outside_m: 20e-6,
 /// Passages used for the search; all training passages for the final fit.
 const SEARCH_PASSAGES: usize = 12;
 
+/// What stands in for errors of a path that was estimated for want of a scan: beside clipping and beside voids.
+const OF_THE_PATH: &str = "stock-irregularity";
+
 /// Squared misfit per value of the model that clips too, above which no further effect is looked for.
 const CLIPPED_MISFIT: f64 = 1.5;
 
@@ -191,10 +195,18 @@ pub fn diagnose(
         // Hits off the track are refused before any work.
         hammer.deviation(&nominal_world(site, BallastParameters::NOMINAL)?)?;
     }
-    progress.begin("base model", 1);
     let split = split(site);
     let search = thinned(&split.train, SEARCH_PASSAGES);
-    let mut base = base(site, &split.train, &search, &PATH_PRIOR, SensorModel::default())?;
+    let estimated = match site.scan {
+        Some(_) => None,
+        None => with_estimated_path(site, &split.train, progress),
+    };
+    let (panel, path_prior) = match &estimated {
+        Some(estimated) => (estimated, ESTIMATED_PATH_PRIOR),
+        None => (site, PATH_PRIOR),
+    };
+    progress.begin("base model", 1);
+    let mut base = base(panel, &split.train, &search, &path_prior, SensorModel::default())?;
     progress.step();
     let before = base.fit.state.world(&base.frame, &[]);
     let flat_top_m_s2 = flat_top_m_s2(site);
@@ -205,18 +217,26 @@ pub fn diagnose(
     // Nothing else can be learnt before what is known of the recorder is in the model.
     let sensor = recorder.sensor();
     if sensor != SensorModel::default() {
-        base = super::base::base(site, &split.train, &search, &PATH_PRIOR, sensor)?;
+        base = super::base::base(panel, &split.train, &search, &path_prior, sensor)?;
     }
     let mut session = Session::new(site, options, &split, &search, &mut base);
     session.clips_at_m_s2 = flat_top_m_s2.map(|(range, _)| range);
     session.take(&recorder);
+    if estimated.is_some() {
+        session.common.retain(|e| e.name() != OF_THE_PATH);
+        session.remarks.push(
+            "without a laser scan the path of the wheels was estimated, from which a defect of the stock rail cannot be told: it is not \
+             looked for"
+                .into(),
+        );
+    }
     let mut searched = !options.quick;
     let spoilt = |session: &Session| sensor.range_m_s2.is_some() && session.misfit() > CLIPPED_MISFIT;
     // Interference can be what spoils the model of clipped recordings, and the likeness of the passages.
     if spoilt(&session) || (searched && (session.base.fit.lost() || session.mixed())) {
         session.search_apart()?;
         if session.was_shifted() {
-            session.start_afresh(site)?;
+            session.start_afresh(panel, &path_prior)?;
             session.search_apart()?;
         }
     }

@@ -3,9 +3,9 @@
 //! Steps of several times the signal drive everything astray that is read before they are known: speeds, axle times, ballast. No fit
 //! leads back from there, so that all of it is done again without them.
 
-use super::{PATH_PRIOR, Session};
+use super::Session;
 use crate::gap::GapError;
-use crate::gap::base::base;
+use crate::gap::base::{PathPrior, base};
 use crate::gap::data::{Observed, RATE_HZ};
 use crate::recording::{Passage, Site};
 use crate::signal::between;
@@ -17,9 +17,9 @@ impl Session<'_> {
     }
 
     /// Reads the recordings and fits the base model again, without the steps found, which are to be looked for again.
-    pub(super) fn start_afresh(&mut self, site: &Site) -> Result<(), GapError> {
+    pub(super) fn start_afresh(&mut self, site: &Site, path_prior: &PathPrior) -> Result<(), GapError> {
         let sensor = self.base.frame.base.sensor;
-        let mut fresh = base(&self.without_steps(site), &self.split.train, self.search, &PATH_PRIOR, sensor)?;
+        let mut fresh = base(&self.without_steps(site), &self.split.train, self.search, path_prior, sensor)?;
         let before = &self.base.frame.observed;
         if fresh.frame.observed.len() != before.len() {
             return Ok(());

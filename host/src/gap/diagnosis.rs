@@ -178,8 +178,8 @@ pub const PATH_PRIOR: PathPrior = PathPrior { inside_m: 10e-6, outside_m: 20e-6,
 /// Passages used for the search; all training passages for the final fit.
 const SEARCH_PASSAGES: usize = 12;
 
-/// What stands in for errors of a path that was estimated for want of a scan: beside clipping and beside voids.
-const OF_THE_PATH: &str = "stock-irregularity";
+/// What stands in for errors of a path that was estimated for want of a scan: beside clipping, voids and a wrong clock, and alone.
+const OF_THE_PATH: [&str; 2] = ["stock-irregularity", "wheel-flat"];
 
 /// Squared misfit per value of the model that clips too, above which no further effect is looked for.
 const CLIPPED_MISFIT: f64 = 1.5;
@@ -223,10 +223,11 @@ pub fn diagnose(
     session.clips_at_m_s2 = flat_top_m_s2.map(|(range, _)| range);
     session.take(&recorder);
     if estimated.is_some() {
-        session.common.retain(|e| e.name() != OF_THE_PATH);
+        session.common.retain(|e| !OF_THE_PATH.contains(&e.name()));
+        session.latent.retain(|e| !OF_THE_PATH.contains(&e.name()));
         session.remarks.push(
-            "without a laser scan the path of the wheels was estimated, from which a defect of the stock rail cannot be told: it is not \
-             looked for"
+            "without a laser scan the path of the wheels was estimated, from which a defect of the stock rail and flats cannot be \
+             told: they are not looked for"
                 .into(),
         );
     }

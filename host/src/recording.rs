@@ -35,6 +35,14 @@ pub struct Site {
     pub skipped: Vec<Skipped>,
 }
 
+impl Site {
+    /// The same site with other passages, such as a part of its own.
+    pub fn with_passages(&self, passages: Vec<Passage>) -> Self {
+        let (crossing, scan, skipped) = (self.crossing.clone(), self.scan.clone(), self.skipped.clone());
+        Self { crossing, passages, scan, skipped }
+    }
+}
+
 /// One recorded train passage.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Passage {

@@ -178,9 +178,6 @@ pub const PATH_PRIOR: PathPrior = PathPrior { inside_m: 10e-6, outside_m: 20e-6,
 /// Passages used for the search; all training passages for the final fit.
 const SEARCH_PASSAGES: usize = 12;
 
-/// What stands in for errors of a path that was estimated for want of a scan: beside clipping, voids and a wrong clock, and alone.
-const OF_THE_PATH: [&str; 2] = ["stock-irregularity", "wheel-flat"];
-
 /// Squared misfit per value of the model that clips too, above which no further effect is looked for.
 const CLIPPED_MISFIT: f64 = 1.5;
 
@@ -223,13 +220,7 @@ pub fn diagnose(
     session.clips_at_m_s2 = flat_top_m_s2.map(|(range, _)| range);
     session.take(&recorder);
     if estimated.is_some() {
-        session.common.retain(|e| !OF_THE_PATH.contains(&e.name()));
-        session.latent.retain(|e| !OF_THE_PATH.contains(&e.name()));
-        session.remarks.push(
-            "without a laser scan the path of the wheels was estimated, from which a defect of the stock rail and flats cannot be \
-             told: they are not looked for"
-                .into(),
-        );
+        session.leave_out_what_passes_for_a_path();
     }
     let mut searched = !options.quick;
     let spoilt = |session: &Session| sensor.range_m_s2.is_some() && session.misfit() > CLIPPED_MISFIT;
@@ -288,9 +279,8 @@ pub fn diagnose(
 
 /// The same site without some of its passages.
 fn without(site: &Site, passage_id: &[i32]) -> Site {
-    let (crossing, scan, skipped) = (site.crossing.clone(), site.scan.clone(), site.skipped.clone());
     let left = site.passages.iter().filter(|p| !passage_id.contains(&p.passage_id));
-    Site { crossing, scan, skipped, passages: left.cloned().collect() }
+    site.with_passages(left.cloned().collect())
 }
 
 /// Evenly spread part of a list.

@@ -4,7 +4,7 @@ use super::base::PathPrior;
 use super::diagnosis::PATH_PRIOR;
 use crate::pipeline::{AnalyseOptions, analyse};
 use crate::progress::Progress;
-use crate::recording::{Passage, Scan, Site};
+use crate::recording::{Scan, Site};
 
 /// Standard deviation of the path around an estimated one, metres. With that of a scan, 10 µm, ballast takes over what is wrong with it
 /// (shape p3 of 1.0 on reference-1 and -2 without their scans); with 120 µm both have the gap and the ballast that they have with them.
@@ -12,9 +12,7 @@ pub const ESTIMATED_PATH_PRIOR: PathPrior = PathPrior { inside_m: 120e-6, ..PATH
 
 /// The site with the irregularity that all wheels of some of its passages share as its scan; nothing where they cannot be identified.
 pub fn with_estimated_path(site: &Site, passages: &[usize], progress: &dyn Progress) -> Option<Site> {
-    let passages: Vec<Passage> = passages.iter().map(|i| site.passages[*i].clone()).collect();
-    let learnt_from =
-        Site { crossing: site.crossing.clone(), passages, scan: None, skipped: site.skipped.clone() };
+    let learnt_from = site.with_passages(passages.iter().map(|i| site.passages[*i].clone()).collect());
     let found = analyse(&learnt_from, &AnalyseOptions::default(), progress).ok()?.indicators;
     let scan = Scan { position_m: found.position_m, irregularity_m: found.irregularity_mode_m };
     let usable = scan.position_m.len() > 1 && scan.irregularity_m.iter().all(|depth_m| depth_m.is_finite());

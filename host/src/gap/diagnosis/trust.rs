@@ -22,6 +22,9 @@ const FOREIGN_SCAN: (f64, f64, f64) = (0.7, 0.3, 0.5);
 /// to be this crossing's.
 const CLEARED: f64 = 0.25;
 
+/// What stands in for errors of a path that was estimated for want of a scan: beside clipping, voids and a wrong clock, and alone.
+const OF_THE_PATH: [&str; 2] = ["stock-irregularity", "wheel-flat"];
+
 /// What is said of trains in the other direction that a diagnosis has left out.
 pub(super) fn left_out(other_way: &[i32], described: TrafficDirection) -> String {
     format!("{}; they are left out", other_direction(other_way, described))
@@ -76,6 +79,17 @@ impl Session<'_> {
                 "one axle load: voids, axle load and stiffness are told apart by their shape only; a lighter train would separate them",
             );
         }
+    }
+
+    /// Leaves out of the catalogue what errors of an estimated path pass for, and says so.
+    pub(super) fn leave_out_what_passes_for_a_path(&mut self) {
+        self.common.retain(|e| !OF_THE_PATH.contains(&e.name()));
+        self.latent.retain(|e| !OF_THE_PATH.contains(&e.name()));
+        self.remarks.push(
+            "without a laser scan the path of the wheels was estimated, from which a defect of the stock rail and flats cannot be \
+             told: they are not looked for"
+                .into(),
+        );
     }
 
     /// Whether passages do not resemble one another.

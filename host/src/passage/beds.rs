@@ -76,19 +76,19 @@ impl NonlinearBeds {
         Self { sleepers, chunks, tributary_m: model.basis.tributary_m.clone() }
     }
 
-    /// Forces at `ahead_s` from now, with the rates extrapolated from the last two steps.
+    /// Adds the forces at `ahead_s` from now, with the rates extrapolated from the last two steps, to b.
     #[inline(always)]
     pub fn apply<S: Simd>(&self, simd: S, sleepers: &Sleepers, state: &mut SleeperState, ahead_s: f64) {
         let (n, p) = (sleepers.coordinates, parts::<S>());
-        let SleeperState { u, v, correction, earlier, .. } = state;
+        let SleeperState { u, v, b, correction, earlier, .. } = state;
         let (u, v) = (of_chunks::<S>(u), of_chunks::<S>(v));
-        let (total, earlier) = (of_chunks_mut::<S>(correction), of_chunks_mut::<S>(earlier));
+        let [b, total, earlier] = [b, correction, earlier].map(|row| of_chunks_mut::<S>(row));
         let ahead = simd.splat_f64s(ahead_s);
         for (chunk, laws) in &self.chunks {
             let of = chunk * n * p..(chunk + 1) * n * p;
             let (u, v, total) = (&u[of.clone()], &v[of.clone()], &mut total[of.clone()]);
             // Becomes the rate expected now.
-            let rates = &mut earlier[of];
+            let rates = &mut earlier[of.clone()];
             for (rate, v) in rates.iter_mut().zip(v) {
                 *rate = simd.sub_f64s(simd.add_f64s(*v, *v), *rate);
             }
@@ -117,6 +117,23 @@ impl NonlinearBeds {
                 }
             }
             rates.copy_from_slice(v);
+            for (b, force) in b[of].iter_mut().zip(total) {
+                *b = simd.add_f64s(*b, *force);
+            }
+        }
+    }
+
+    /// At the end of the step the forces count 1/θ times in b; once they are in it.
+    #[inline(always)]
+    pub fn carry<S: Simd>(&self, simd: S, sleepers: &Sleepers, state: &mut SleeperState, theta: f64) {
+        let of_chunk = sleepers.coordinates * parts::<S>();
+        let rest = simd.splat_f64s(1.0 / theta - 1.0);
+        let (b, total) = (of_chunks_mut::<S>(&mut state.b), of_chunks::<S>(&state.correction));
+        for (chunk, _) in &self.chunks {
+            let of = chunk * of_chunk..(chunk + 1) * of_chunk;
+            for (b, force) in b[of.clone()].iter_mut().zip(&total[of]) {
+                *b = simd.mul_add_f64s(rest, *force, *b);
+            }
         }
     }
 }

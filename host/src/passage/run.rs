@@ -4,7 +4,7 @@ use pulp::Simd;
 
 use super::contact::{ContactLaw, Contacts};
 use super::error::{SimulationError, in_range};
-use super::model::{CHUNK, RailPoint};
+use super::model::{CHUNK, Lanes, RailPoint};
 use super::stepper::{Stepper, TrackState};
 use super::surface::{RunningSurface, smooth_step};
 use super::unit::{CONTACTS, Train, UnitState, UnitStepper, Wheel};
@@ -87,6 +87,8 @@ pub struct Underway {
 struct Running {
     stepper: UnitStepper,
     state: UnitState,
+    /// Rates that the static forces of the wheels add in every step.
+    of_static: Lanes,
     first_wheel: usize,
     wheels: usize,
     force_n: [f64; CONTACTS],
@@ -318,12 +320,7 @@ impl<'a> Passage<'a> {
     /// Begins the step of one unit: its motion without contact forces, and how far each wheel would then be in the rail.
     #[inline(always)]
     fn approach<S: Simd>(&self, simd: S, track: &TrackState, unit: &mut Running, travelled_m: f64) {
-        let wheels = &self.train.wheels[unit.first_wheel..unit.first_wheel + unit.wheels];
-        let mut static_n = [0.0; CONTACTS];
-        for (force, wheel) in static_n.iter_mut().zip(wheels) {
-            *force = wheel.static_force_n;
-        }
-        unit.stepper.begin(simd, &mut unit.state, &static_n[..unit.wheels]);
+        unit.stepper.begin(simd, &mut unit.state, &unit.of_static);
         for i in 0..unit.wheels {
             unit.contacts[i] = self.contact(simd, track, unit, i, travelled_m);
         }
@@ -486,12 +483,15 @@ impl<'a> Passage<'a> {
                         * (rail - self.ground_m[first_wheel + i] + self.surface_m(wheel, i % 2, x, along));
                 }
             }
-            let state = stepper.at_rest(&height[..unit.wheels()]);
             let wheels = unit.wheels();
+            let state = stepper.at_rest(&height[..wheels]);
+            // Before anything rolls the contacts carry what rests on them.
+            let of_static = stepper.rates_of(&force_n[..wheels]);
             let contacts = [Contact::default(); CONTACTS];
             units.push(Running {
                 stepper,
                 state,
+                of_static,
                 first_wheel,
                 wheels,
                 force_n,

@@ -14,6 +14,7 @@ use super::basis::SleeperBasis;
 use super::effective::Shares;
 use super::error::SimulationError;
 use super::model::{BLOCK, CHUNK, Lanes, TrackModel};
+use super::support::Support;
 use super::vectors::{Aligned, of_chunks, of_chunks_mut, parts, vectors, vectors_mut};
 
 /// The same of neighbouring coordinates.
@@ -42,6 +43,8 @@ pub(super) struct Sleepers {
     inverse: Aligned<Lanes>,
     /// S₀₀, S₀₁, S₁₁ per chunk.
     through: Aligned<[Lanes; 3]>,
+    /// Chunks in which some bed is not linear: their rates are kept from step to step.
+    nonlinear: Vec<bool>,
     /// Coordinates of the model per coordinate of this module.
     transform: DMatrix<f64>,
 }
@@ -59,20 +62,21 @@ struct Ballast {
     damping: Lanes,
 }
 
-/// Motion of the sleepers: displacement u, rate v at t + θ dt, momentum term b.
+/// Motion of the sleepers: displacement u, rate v at t + θ dt, momentum term b (within a step with the forces of nonlinear beds).
 #[derive(Clone, Debug)]
 pub(super) struct SleeperState {
     pub u: Aligned<Lanes>,
+    /// Kept where a bed is not linear.
     pub v: Aligned<Lanes>,
     pub b: Aligned<Lanes>,
-    /// Forces of the nonlinear beds.
+    /// Forces of the nonlinear beds in this step.
     pub correction: Aligned<Lanes>,
     /// Rates one step earlier.
     pub earlier: Aligned<Lanes>,
     /// Of both pads, `[chunk · 2 + side]`: motion of the seat without the rails, then rate of compression, then force.
     pads: Aligned<Lanes>,
-    /// Deformation that one chunk advances with.
-    deformation: Aligned<Lanes>,
+    /// Rates and deformation that one chunk advances with.
+    advance: [Aligned<Lanes>; 2],
 }
 
 impl Sleepers {
@@ -112,9 +116,11 @@ impl Sleepers {
             ballast: avec![Ballast { stiffness: [0.0; CHUNK], damping: [0.0; CHUNK] }; chunks],
             inverse: avec![[0.0; CHUNK]; n * chunks],
             through: avec![[[0.0; CHUNK]; 3]; chunks],
+            nonlinear: model.supports.chunks(CHUNK).map(|of| !of.iter().all(Support::is_linear)).collect(),
             bed: blocks(beta.as_slice()),
             transform,
         };
+        sleepers.nonlinear.resize(chunks, false);
         for s in 0..layout.sleepers {
             sleepers.set(s, on_bed(s) - shift, model.supports[s].implicit())?;
         }
@@ -158,7 +164,7 @@ impl Sleepers {
     pub fn at_rest(&self) -> SleeperState {
         let zero = || avec![[0.0; CHUNK]; self.inverse.len()];
         let pads = avec![[0.0; CHUNK]; 2 * self.through.len()];
-        let deformation = avec![[0.0; CHUNK]; self.coordinates];
+        let of_chunk = || avec![[0.0; CHUNK]; self.coordinates];
         SleeperState {
             u: zero(),
             v: zero(),
@@ -166,7 +172,7 @@ impl Sleepers {
             correction: zero(),
             earlier: zero(),
             pads,
-            deformation,
+            advance: [of_chunk(), of_chunk()],
         }
     }
 
@@ -176,8 +182,8 @@ impl Sleepers {
         let (n, p, stride) = (self.coordinates, parts::<S>(), self.through.len() * CHUNK);
         let (crossing, stock) = rails[..2 * stride].split_at_mut(stride);
         let (crossing, stock) = (vectors_mut::<S>(crossing), vectors_mut::<S>(stock));
-        let (b, f) = (of_chunks::<S>(&state.b), of_chunks::<S>(&state.correction));
-        let (inverse, pads) = (of_chunks::<S>(&self.inverse), of_chunks_mut::<S>(&mut state.pads));
+        let (b, inverse) = (of_chunks::<S>(&state.b), of_chunks::<S>(&self.inverse));
+        let pads = of_chunks_mut::<S>(&mut state.pads);
         let through = of_chunks::<S>(self.through.as_flattened());
         let pad = simd.splat_f64s(self.pad.effective);
         for chunk in 0..self.through.len() {
@@ -185,10 +191,10 @@ impl Sleepers {
                 let (mut t0, mut t1) = (simd.splat_f64s(0.0), simd.splat_f64s(0.0));
                 for (block, seat) in self.seat.iter().enumerate() {
                     let of = block_range::<S>(chunk * n + block * BLOCK);
-                    let (b, f, inverse) = (&b[of.clone()], &f[of.clone()], &inverse[of]);
+                    let (b, inverse) = (&b[of.clone()], &inverse[of]);
                     for i in 0..BLOCK {
                         let at = i * p + part;
-                        let motion = simd.mul_f64s(inverse[at], simd.add_f64s(b[at], f[at]));
+                        let motion = simd.mul_f64s(inverse[at], b[at]);
                         t0 = simd.mul_add_f64s(simd.splat_f64s(seat[0][i]), motion, t0);
                         t1 = simd.mul_add_f64s(simd.splat_f64s(seat[1][i]), motion, t1);
                     }
@@ -228,7 +234,7 @@ impl Sleepers {
     #[inline(always)]
     pub fn rates<S: Simd>(&self, simd: S, state: &mut SleeperState) {
         let (n, p) = (self.coordinates, parts::<S>());
-        let (b, f) = (of_chunks::<S>(&state.b), of_chunks::<S>(&state.correction));
+        let b = of_chunks::<S>(&state.b);
         let (inverse, pad) = (of_chunks::<S>(&self.inverse), of_chunks::<S>(&state.pads));
         let v = of_chunks_mut::<S>(&mut state.v);
         for chunk in 0..self.through.len() {
@@ -238,11 +244,11 @@ impl Sleepers {
                 let p1 = simd.mul_f64s(effective, pad[(chunk * 2 + 1) * p + part]);
                 for (block, seat) in self.seat.iter().enumerate() {
                     let of = block_range::<S>(chunk * n + block * BLOCK);
-                    let (b, f, inverse) = (&b[of.clone()], &f[of.clone()], &inverse[of.clone()]);
+                    let (b, inverse) = (&b[of.clone()], &inverse[of.clone()]);
                     let v = &mut v[of];
                     for i in 0..BLOCK {
                         let at = i * p + part;
-                        v[at] = rate(simd, (b[at], f[at]), [seat[0][i], seat[1][i]], [p0, p1], inverse[at]);
+                        v[at] = rate(simd, b[at], [seat[0][i], seat[1][i]], [p0, p1], inverse[at]);
                     }
                 }
             }
@@ -252,7 +258,7 @@ impl Sleepers {
     /// Rates v of the sleepers, their new b and u, and forces of the pads on their way into b; `rails`: old displacement. After
     /// [`Sleepers::compress`]; in one pass, because what it reads does not all fit into the nearest cache.
     ///
-    /// With K = E + k B − pads: b ← b + f/θ − K (u/θ + 2 dt v) − C v/θ.
+    /// With K = E + k B − pads: b ← b − K (u/θ + 2 dt v) − C v/θ.
     #[inline(always)]
     pub fn advance<S: Simd>(
         &self,
@@ -264,9 +270,10 @@ impl Sleepers {
         let (n, p, stride) = (self.coordinates, parts::<S>(), self.through.len() * CHUNK);
         let (crossing, stock) = rails[..2 * stride].split_at(stride);
         let (crossing, stock) = (vectors::<S>(crossing), vectors::<S>(stock));
-        let SleeperState { u, v, b, correction, pads, deformation, .. } = state;
-        let (f, inverse) = (of_chunks::<S>(correction), of_chunks::<S>(&self.inverse));
-        let [u, v, b, pads, deformation] = [u, v, b, pads, deformation].map(|row| of_chunks_mut::<S>(row));
+        let SleeperState { u, v: kept, b, pads, advance: [v, deformation], .. } = state;
+        let inverse = of_chunks::<S>(&self.inverse);
+        let [u, v, kept, b, pads, deformation] =
+            [u, v, kept, b, pads, deformation].map(|row| of_chunks_mut::<S>(row));
         let effective = simd.splat_f64s(self.pad.effective);
         let (dt, per_theta) = (simd.splat_f64s(dt_s), simd.splat_f64s(1.0 / theta));
         let elastic_rate = simd.splat_f64s(self.elastic_damping_s / theta + 2.0 * dt_s);
@@ -281,12 +288,12 @@ impl Sleepers {
                     [simd.mul_f64s(effective, pads[part]), simd.mul_f64s(effective, pads[p + part])];
                 for (block, seat) in self.seat.iter().enumerate() {
                     let of = block_range::<S>(chunk * n + block * BLOCK);
-                    let (b, f, inverse) = (&b[of.clone()], &f[of.clone()], &inverse[of.clone()]);
-                    let (v, u) = (&mut v[of.clone()], &u[of]);
-                    let deformation = &mut deformation[block_range::<S>(block * BLOCK)];
+                    let (b, u, inverse) = (&b[of.clone()], &u[of.clone()], &inverse[of]);
+                    let of_chunk = block_range::<S>(block * BLOCK);
+                    let (v, deformation) = (&mut v[of_chunk.clone()], &mut deformation[of_chunk]);
                     for i in 0..BLOCK {
                         let at = i * p + part;
-                        v[at] = rate(simd, (b[at], f[at]), [seat[0][i], seat[1][i]], pressed, inverse[at]);
+                        v[at] = rate(simd, b[at], [seat[0][i], seat[1][i]], pressed, inverse[at]);
                         seat0 = simd.mul_add_f64s(simd.splat_f64s(-seat[0][i]), u[at], seat0);
                         seat1 = simd.mul_add_f64s(simd.splat_f64s(-seat[1][i]), u[at], seat1);
                         deformation[at] =
@@ -305,7 +312,7 @@ impl Sleepers {
                 for (block, (seat, beta)) in self.seat.iter().zip(&self.bed).enumerate() {
                     let elastic = self.elastic_forces(simd, part, deformation, block);
                     let of = block_range::<S>(chunk * n + block * BLOCK);
-                    let (v, f) = (&v[of.clone()], &f[of.clone()]);
+                    let v = &v[block_range::<S>(block * BLOCK)];
                     let (u, b) = (&mut u[of.clone()], &mut b[of]);
                     for i in 0..BLOCK {
                         let at = i * p + part;
@@ -316,11 +323,13 @@ impl Sleepers {
                             pad0,
                             simd.mul_f64s(simd.splat_f64s(seat[1][i]), pad1),
                         );
-                        let outer = simd.mul_add_f64s(per_theta, f[at], outer);
                         b[at] = simd.add_f64s(b[at], simd.sub_f64s(outer, inner));
                         u[at] = simd.mul_add_f64s(dt, v[at], u[at]);
                     }
                 }
+            }
+            if self.nonlinear[chunk] {
+                kept[chunk * n * p..(chunk + 1) * n * p].copy_from_slice(v);
             }
         }
     }
@@ -382,17 +391,10 @@ impl Sleepers {
     }
 }
 
-/// Rate of a coordinate under what acts on it: b and the bed's correction, and the pads.
+/// Rate of a coordinate under what acts on it: b and the pads.
 #[inline(always)]
-fn rate<S: Simd>(
-    simd: S,
-    (b, f): (S::f64s, S::f64s),
-    seat: [f64; 2],
-    pads: [S::f64s; 2],
-    inverse: S::f64s,
-) -> S::f64s {
-    let sum = simd.add_f64s(b, f);
-    let sum = simd.mul_add_f64s(simd.splat_f64s(seat[0]), pads[0], sum);
+fn rate<S: Simd>(simd: S, b: S::f64s, seat: [f64; 2], pads: [S::f64s; 2], inverse: S::f64s) -> S::f64s {
+    let sum = simd.mul_add_f64s(simd.splat_f64s(seat[0]), pads[0], b);
     let sum = simd.mul_add_f64s(simd.splat_f64s(seat[1]), pads[1], sum);
     simd.mul_f64s(inverse, sum)
 }

@@ -299,20 +299,22 @@ impl UnitStepper {
         UnitState { x, v: [0.0; CHUNK], rate: [0.0; CHUNK], free: [0.0; CHUNK] }
     }
 
-    /// Begins a step: rates without contact forces, under the static forces of the wheels.
+    /// Rates that forces on the wheels (N, downwards) add to those of a step.
+    pub fn rates_of(&self, force_n: &[f64]) -> Lanes {
+        std::array::from_fn(|lane| sum_of(pulp::Scalar::new(), lane, &self.of_force, force_n))
+    }
+
+    /// Begins a step: rates without contact forces, with those of the static forces of the wheels.
     #[inline(always)]
-    pub fn begin<S: Simd>(&self, simd: S, state: &mut UnitState, static_n: &[f64]) {
+    pub fn begin<S: Simd>(&self, simd: S, state: &mut UnitState, of_static: &Lanes) {
         let ahead = simd.splat_f64s(self.step.theta * self.step.dt_s);
         let UnitState { x, v, rate, free } = state;
         let (rate, free) = (vectors_mut::<S>(rate), vectors_mut::<S>(free));
         for part in 0..parts::<S>() {
-            // Three sums, so that none waits for the others.
-            let [of_v, of_x, of_force] = [
-                sum_of(simd, part, &self.of_rate, v),
-                sum_of(simd, part, &self.of_displacement, x),
-                sum_of(simd, part, &self.of_force, static_n),
-            ];
-            rate[part] = simd.add_f64s(simd.add_f64s(of_v, of_x), of_force);
+            // Two sums, so that none waits for the other.
+            let (of_v, of_x) =
+                (sum_of(simd, part, &self.of_rate, v), sum_of(simd, part, &self.of_displacement, x));
+            rate[part] = simd.add_f64s(simd.add_f64s(of_v, of_x), vectors::<S>(of_static)[part]);
             free[part] = simd.mul_add_f64s(ahead, rate[part], vectors::<S>(x)[part]);
         }
     }
@@ -376,7 +378,7 @@ mod tests {
         let discrete = 2.0 / step.dt_s * (0.5 * omega * step.dt_s).atan();
         let ahead = 0.5 * step.dt_s;
         for n in 1..2000 {
-            stepper.begin(Scalar::new(), &mut state, &[0.0, 0.0]);
+            stepper.begin(Scalar::new(), &mut state, &[0.0; CHUNK]);
             // Force of each spring at the middle of the step: k (free − ahead · (c₀₀ + c₀₁) F).
             let compliance = ahead * (stepper.compliance[0][0] + stepper.compliance[0][1]);
             let force = k * stepper.free_m(&state, 0) / (1.0 + k * compliance);
@@ -419,7 +421,7 @@ mod tests {
         let mut state = stepper.at_rest(&[0.0; 4]);
         let q = [70e3, 80e3, 75e3, 65e3];
         for _ in 0..100 {
-            stepper.begin(Scalar::new(), &mut state, &q);
+            stepper.begin(Scalar::new(), &mut state, &stepper.rates_of(&q));
             stepper.finish(Scalar::new(), &mut state, &q);
         }
         assert!(state.x.iter().all(|x| x.abs() < 1e-15), "{:?}", state.x);

@@ -9,7 +9,7 @@ use super::chain::{Block, Seat, SeatChain};
 use super::error::SimulationError;
 use super::model::{CHUNK, Lanes, Layout, TrackModel};
 use super::sleepers::Sleepers;
-use super::vectors::{Aligned, parts, vectors, vectors_mut};
+use super::vectors::{Aligned, parts, vectors, vectors_from, vectors_mut};
 
 /// Shares of mass, damping and stiffness in the effective matrix.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -128,7 +128,7 @@ impl Effective {
         self.eliminate_bays(simd, rhs);
         let (row, stride) = (self.layout.row, self.layout.stride);
         let n = seats.len();
-        let loads = [0, row, stride, row + stride].map(|at| &rhs[at..at + n]);
+        let loads = [&rhs[..n], &rhs[row..][..n], &rhs[stride..][..n], &rhs[row + stride..][..n]];
         let (deflection, rotation) = x.split_at_mut(row);
         let ((w0, w1), (t0, t1)) = (deflection.split_at_mut(stride), rotation.split_at_mut(stride));
         self.chain.solve(loads, seats, [w0, t0, w1, t1]);
@@ -143,11 +143,13 @@ impl Effective {
         // The lane before the first one of a row is read; it belongs to the end of the row before, which is zero.
         let (seats, inside) = rhs.split_at_mut(2 * row - CHUNK);
         let (deflection, rotation) = seats.split_at_mut(row);
-        let [deflection, rotation] = [deflection, rotation].map(|row| &mut vectors_mut::<S>(row)[..count]);
+        let deflection = &mut vectors_mut::<S>(deflection)[..count];
+        let rotation = &mut vectors_mut::<S>(rotation)[..count];
         for (node, factors) in self.eliminate.chunks_exact(chunks).enumerate() {
             // A seat is an end of the bay behind it and of the bay before it, one lane back.
-            let loads = [(0, 0), (1, 0), (0, 1), (1, 1)]
-                .map(|(of, back)| &vectors::<S>(&inside[CHUNK + (2 * node + of) * row - back..])[..count]);
+            let (w, t) = (CHUNK + 2 * node * row, CHUNK + (2 * node + 1) * row);
+            let of = |at| vectors_from::<S>(inside, at, count);
+            let loads = [of(w), of(t), of(w - 1), of(t - 1)];
             for (chunk, factors) in factors.iter().enumerate() {
                 for part in 0..p {
                     let at = chunk * p + part;
@@ -167,11 +169,12 @@ impl Effective {
         let (row, lanes, p) = (self.layout.row, self.layout.lanes(), parts::<S>());
         let (inside, chunks, count) = (self.layout.nodes_per_bay - 1, lanes / CHUNK, lanes / CHUNK * p);
         let (seats, x) = x.split_at_mut(2 * row);
-        let seats = [0, row, 1, row + 1].map(|at| &vectors::<S>(&seats[at..])[..count]);
+        let of = |at| vectors_from::<S>(seats, at, count);
+        let seats = [of(0), of(row), of(1), of(row + 1)];
         for (node, x) in x.chunks_exact_mut(2 * row).enumerate() {
             let (deflection, rotation) = x.split_at_mut(row);
-            let [deflection, rotation] =
-                [deflection, rotation].map(|row| &mut vectors_mut::<S>(row)[..count]);
+            let deflection = &mut vectors_mut::<S>(deflection)[..count];
+            let rotation = &mut vectors_mut::<S>(rotation)[..count];
             for (chunk, gains) in self.gain[node * chunks..(node + 1) * chunks].iter().enumerate() {
                 for part in 0..p {
                     let at = chunk * p + part;
@@ -183,7 +186,8 @@ impl Effective {
                 }
             }
             for loaded in 0..inside {
-                let loads = [0, 1].map(|of| &vectors::<S>(&loads[(2 * loaded + 2 + of) * row..])[..count]);
+                let of = |at| vectors_from::<S>(loads, at, count);
+                let loads = [of((2 * loaded + 2) * row), of((2 * loaded + 3) * row)];
                 let first = (node * inside + loaded) * chunks;
                 for (chunk, inverse) in self.inverse[first..first + chunks].iter().enumerate() {
                     for part in 0..p {

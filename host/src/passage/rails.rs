@@ -4,7 +4,7 @@ use aligned_vec::avec;
 use pulp::Simd;
 
 use super::model::{CHUNK, Layout, TrackModel};
-use super::vectors::{Aligned, vectors, vectors_mut};
+use super::vectors::{Aligned, vectors, vectors_from, vectors_mut};
 
 /// Stiffness of the rail elements in terms of shear and bending deformation, `[element in bay · row + lane]`.
 #[derive(Clone, Debug)]
@@ -63,14 +63,15 @@ impl Rails {
         for e in 0..nodes {
             // The node behind the last one of a bay is the seat of the next sleeper, one lane on.
             let right = if e + 1 < nodes { 2 * (e + 1) * row } else { 1 };
-            let ends = [2 * e * row, (2 * e + 1) * row, right, right + row];
+            let [w1, t1, w2, t2] = [2 * e * row, (2 * e + 1) * row, right, right + row];
             let start = e * (CHUNK + n) + CHUNK;
             let shear = vectors_mut::<S>(&mut shear[start..start + n]);
             let count = shear.len();
             let moment = &mut vectors_mut::<S>(&mut moment[start..start + n])[..count];
-            let [us, vs] = [&*u, &*v].map(|x| ends.map(|at| &vectors::<S>(&x[at..at + n])[..count]));
-            let [ks, kb] =
-                [&self.shear, &self.bending].map(|k| &vectors::<S>(&k[e * row..e * row + n])[..count]);
+            let of = |x, at| vectors_from::<S>(x, at, count);
+            let us = [of(u, w1), of(u, t1), of(u, w2), of(u, t2)];
+            let vs = [of(v, w1), of(v, t1), of(v, w2), of(v, t2)];
+            let (ks, kb) = (of(&self.shear, e * row), of(&self.bending, e * row));
             for l in 0..count {
                 let mut ends = [simd.splat_f64s(0.0); 4];
                 for (a, end) in ends.iter_mut().enumerate() {
@@ -96,11 +97,11 @@ impl Rails {
         for node in 0..nodes {
             // Before the seat ends the last element of the bay before, one lane back.
             let left = if node == 0 { of(nodes - 1) - 1 } else { of(node - 1) };
-            let [sl, sr, ml, mr] =
-                [(&*shear, left), (&*shear, of(node)), (&*moment, left), (&*moment, of(node))]
-                    .map(|(force, at)| vectors::<S>(&force[at..at + n]));
+            let sl = vectors::<S>(&shear[left..left + n]);
             let count = sl.len();
-            let [sr, ml, mr] = [sr, ml, mr].map(|row| &row[..count]);
+            let sr = vectors_from::<S>(shear, of(node), count);
+            let (ml, mr) =
+                (vectors_from::<S>(moment, left, count), vectors_from::<S>(moment, of(node), count));
             let of = 2 * node * row..2 * node * row + n;
             let b_w = &mut vectors_mut::<S>(&mut b[of])[..count];
             for l in 0..count {

@@ -28,6 +28,13 @@ pub(super) fn vectors_mut<S: Simd>(row: &mut [f64]) -> &mut [S::f64s] {
     S::as_mut_simd_f64s(row).0
 }
 
+/// The first `count` vectors of a row from a place on. In lists of rows this is written out: `map` of an array is not compiled into the
+/// step.
+#[inline(always)]
+pub(super) fn vectors_from<S: Simd>(row: &[f64], at: usize, count: usize) -> &[S::f64s] {
+    &vectors::<S>(&row[at..])[..count]
+}
+
 /// Chunks.
 #[inline(always)]
 pub(super) fn of_chunks<S: Simd>(chunks: &[Lanes]) -> &[S::f64s] {

@@ -18,7 +18,7 @@ use crate::passage::{
     run,
 };
 use crate::reconstruct::Recording;
-use crate::recording::{Passage, Sensor, read_site};
+use crate::recording::{Passage, Sensor, read_crossing_file, read_scan_file};
 use crate::signal::{brick_band, quantile, resample, rms};
 use crate::track::{Mesh, Side, Track};
 use crate::vehicle::AxlePattern;
@@ -224,25 +224,25 @@ const PASSAGE_M_S: f64 = 45.0;
 
 /// The train of a site over its scanned crossing, with nominal ballast.
 fn passage(input: &Path) -> Result<Value, JobError> {
-    let site = read_site(input)?;
-    let ballast = &site.crossing.ballast;
-    let track = Track::of_crossing(&site.crossing, Mesh::default());
+    let crossing = read_crossing_file(&input.join("crossing.toml"))?;
+    let scan = read_scan_file(&input.join("irregularity.csv"))?;
+    let ballast = &crossing.ballast;
+    let track = Track::of_crossing(&crossing, Mesh::default());
     let bed = Support::linear(ballast.stiffness_n_m2, ballast.damping_ns_m2);
     let model = TrackModel::new(&track, vec![bed; track.sleeper_x_m.len()], SLEEPER_MODES)?;
     let stepper = Stepper::new(model, TimeStep::default())?;
-    let train = Train::of_vehicle(&site.crossing.vehicle, WHEEL_N)?;
-    let scan = site.scan.as_ref().ok_or("the site has no irregularity.csv")?;
+    let train = Train::of_vehicle(&crossing.vehicle, WHEEL_N)?;
     let path = Profile::of_scan(&scan.position_m, &scan.irregularity_m, 0.3)?;
     let surface = RunningSurface { paths: vec![path], ..RunningSurface::level() };
     let journey = Journey {
-        direction: site.crossing.traffic_direction.sign(),
+        direction: crossing.traffic_direction.sign(),
         speed_m_s: PASSAGE_M_S,
         acceleration_m_s2: 0.0,
         first_m: -8.0 - 0.4 * PASSAGE_M_S,
-        duration_s: 0.8 + (16.0 + AxlePattern::of_vehicle(&site.crossing.vehicle).length_m()) / PASSAGE_M_S,
+        duration_s: 0.8 + (16.0 + AxlePattern::of_vehicle(&crossing.vehicle).length_m()) / PASSAGE_M_S,
         start: Start::Quiet,
     };
-    let law = ContactLaw::Hertz(site.crossing.vehicle.hertz_constant_n_m15);
+    let law = ContactLaw::Hertz(crossing.vehicle.hertz_constant_n_m15);
     let begin = thread_cpu_s();
     let record = run(&stepper, &train, (&surface, law), &journey, [-4.5, 4.5])?;
     let simulated_s = thread_cpu_s() - begin;

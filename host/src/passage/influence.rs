@@ -25,8 +25,6 @@ pub(super) struct Influence {
     rows: Aligned<Lanes>,
     /// `[point]`: motion of degree of freedom a per load on b.
     own: Vec<[[f64; 4]; 4]>,
-    /// Largest part cut off, relative to the row's largest value, both rails.
-    pub cut_off: f64,
 }
 
 impl Influence {
@@ -39,44 +37,33 @@ impl Influence {
             reach,
             rows: avec![[0.0; CHUNK]; points * layout.rows() * 4 * chunks(reach)],
             own: vec![[[0.0; 4]; 4]; points],
-            cut_off: 0.0,
         };
-        let mut scratch = Columns::new(layout);
-        for side in 0..2 {
-            for bay in 0..layout.sleepers {
-                for element in 0..layout.nodes_per_bay {
-                    // The last sleeper is the end of the last bay: it has a left neighbour only.
-                    if bay + 1 == layout.sleepers && element > 0 {
-                        break;
-                    }
-                    for dof in 0..2 {
-                        let loaded = layout.dof(side, bay, element, dof);
-                        let column = scratch.column(effective, loaded);
-                        influence.store(column, side, [bay, element], dof);
-                    }
-                }
+        each_column(layout, effective, |column, side, node, dof| {
+            for (element, first) in elements_at(layout, node) {
+                influence.store(column, side, element, first + dof);
             }
-        }
+        });
         influence
     }
 
-    /// Files the motion under a unit load on one node with the two elements that share the node.
-    fn store(&mut self, column: &[f64], side: usize, [bay, element]: [usize; 2], dof: usize) {
-        let nodes = self.layout.nodes_per_bay;
-        self.store_for(column, side, [bay, element], dof);
-        match (bay, element) {
-            (0, 0) => {}
-            (_, 0) => self.store_for(column, side, [bay - 1, nodes - 1], dof + 2),
-            _ => self.store_for(column, side, [bay, element - 1], dof + 2),
-        }
+    /// Largest part cut off, relative to the row's largest value, both rails.
+    pub fn cut_off(&self, effective: &Effective) -> f64 {
+        let mut worst: f64 = 0.0;
+        each_column(self.layout, effective, |column, side, node, _| {
+            for ([bay, _], _) in elements_at(self.layout, node) {
+                let first = self.first_lane(side, bay);
+                let window = first..first + CHUNK * chunks(self.reach);
+                worst = worst.max(outside(self.layout, column, side, |lane| window.contains(&lane)));
+            }
+        });
+        worst
     }
 
-    fn store_for(&mut self, column: &[f64], side: usize, [bay, element]: [usize; 2], dof: usize) {
+    /// Files the motion under a unit load on one end of an element.
+    fn store(&mut self, column: &[f64], side: usize, [bay, element]: [usize; 2], dof: usize) {
         let (layout, reach) = (self.layout, self.reach);
         let point = self.point(side, bay, element);
         let first = self.first_lane(side, bay);
-        let window = first..first + CHUNK * chunks(reach);
-        self.cut_off = self.cut_off.max(outside(layout, column, side, |lane| window.contains(&lane)));
         for row in 0..layout.rows() {
             let target = (point * layout.rows() + row) * chunks(reach);
             for k in 0..CHUNK * chunks(reach) {
@@ -189,6 +176,34 @@ impl pulp::WithSimd for Solve<'_> {
         let Columns { load, motion, seats } = self.columns;
         self.effective.solve_rails(simd, load, motion, seats);
     }
+}
+
+/// Motion of the rails under a unit load on every degree of freedom of every node: the column, rail, node as bay and place in it, and
+/// which degree of freedom.
+fn each_column(layout: Layout, effective: &Effective, mut of: impl FnMut(&[f64], usize, [usize; 2], usize)) {
+    let mut scratch = Columns::new(layout);
+    for side in 0..2 {
+        for bay in 0..layout.sleepers {
+            // The last sleeper is the end of the last bay.
+            let nodes = if bay + 1 == layout.sleepers { 1 } else { layout.nodes_per_bay };
+            for element in 0..nodes {
+                for dof in 0..2 {
+                    let column = scratch.column(effective, layout.dof(side, bay, element, dof));
+                    of(column, side, [bay, element], dof);
+                }
+            }
+        }
+    }
+}
+
+/// The elements that share a node, as bay and place in it, and the first of the degrees of freedom that they have there.
+fn elements_at(layout: Layout, [bay, element]: [usize; 2]) -> impl Iterator<Item = ([usize; 2], usize)> {
+    let before = match (bay, element) {
+        (0, 0) => None,
+        (_, 0) => Some([bay - 1, layout.nodes_per_bay - 1]),
+        _ => Some([bay, element - 1]),
+    };
+    std::iter::once(([bay, element], 0)).chain(before.map(|element| (element, 2)))
 }
 
 /// Sleepers to keep on either side, from loads on a few places along the track.

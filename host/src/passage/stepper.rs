@@ -101,7 +101,7 @@ impl Stepper {
     /// Largest part of the influence of a load that the contact solution leaves out, relative to the influence at the
     /// load.
     pub fn influence_cut_off(&self) -> f64 {
-        self.influence.cut_off
+        self.influence.cut_off(&self.effective)
     }
 
     /// Sleepers whose bed is not linear.

@@ -4,7 +4,8 @@
 set -eu
 cd "$(dirname "$0")"
 
-step() { printf '\n== %s\n' "$1"; }
+begin=$(date +%s)
+step() { printf '\n== %s (after %s s)\n' "$1" "$(($(date +%s) - begin))"; }
 
 step "tools"
 rustup target add thumbv7em-none-eabihf
@@ -57,4 +58,4 @@ cargo test --release --no-fail-fast --package cpcm --package cpcm-tests --lib --
 step "blind trials: 20 withheld effects, scored"
 cargo run --release --package cpcm --bin cpcm -- blind-trial --seed 7 --trials 20 --check --out target/blind-trial
 
-printf '\nall checks passed\n'
+printf '\nall checks passed (%s s)\n' "$(($(date +%s) - begin))"

@@ -11,8 +11,9 @@ use super::effective::Effective;
 use super::model::{CHUNK, Lanes, Layout, RailPoint, TrackModel};
 use super::vectors::{Aligned, parts, vectors, vectors_mut};
 
-/// Rows are cut where they fall below this part of their largest value: under a load of 100 kN a contact force is 0.5 N off, near the
-/// free ends of the rails 2 N. Nothing accumulates, because the track is then solved as a whole. At 0.1 ms a row is one chunk and not two.
+/// Rows are cut where they fall below this part of their largest value: a load of 100 kN leaves out the motion of at most 0.5 N, near the
+/// free ends of the rails of 2 N. Nothing accumulates, because the track is then solved as a whole. At 0.1 ms a row is one chunk and not
+/// two.
 const CUT: f64 = 5e-6;
 
 /// Cut rows for the four degrees of freedom of every element.

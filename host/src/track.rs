@@ -406,8 +406,9 @@ struct System {
 impl System {
     /// One frequency of [`RailReceptances`].
     fn rail_pairs(&self, first: usize, last: usize) -> Vec<[[c64; 2]; 2]> {
-        let vertical = |b: &Block<4>| [[b[0][0], b[0][2]], [b[2][0], b[2][2]]];
-        self.factor.inverse_blocks(first, last).iter().flatten().map(vertical).collect()
+        // Forces are vertical: the columns of rotations are left out.
+        let blocks = self.factor.inverse_columns([first, last], [0, 2]);
+        blocks.iter().flatten().map(|deflections| [deflections[0], deflections[2]]).collect()
     }
 }
 

@@ -4,6 +4,8 @@ use faer::c64;
 
 /// Square complex block.
 pub type Block<const B: usize> = [[c64; B]; B];
+/// Some columns of a block.
+pub type Columns<const B: usize, const C: usize> = [[c64; C]; B];
 
 pub const ZERO: c64 = c64::new(0.0, 0.0);
 
@@ -56,11 +58,15 @@ impl<const B: usize> Factor<B> {
         }
     }
 
-    /// Blocks (i, j), i ≤ j, of the inverse for `first` ≤ i ≤ j ≤ `last`, row by row from the diagonal on: a backward
-    /// recursion costs one product per block, where solving for columns would go through the whole system each time.
-    pub fn inverse_blocks(&self, first: usize, last: usize) -> Vec<Vec<Block<B>>> {
+    /// Some columns of the blocks (i, j), i ≤ j, of the inverse for `first` ≤ i ≤ j ≤ `last`, row by row from the diagonal on: a
+    /// backward recursion costs one product per block, where solving for columns would go through the whole system each time.
+    pub fn inverse_columns<const C: usize>(
+        &self,
+        [first, last]: [usize; 2],
+        columns: [usize; C],
+    ) -> Vec<Vec<Columns<B, C>>> {
         let n = self.inverse.len();
-        let mut rows: Vec<Vec<Block<B>>> = Vec::new();
+        let mut rows: Vec<Vec<Columns<B, C>>> = Vec::new();
         let mut diagonal = [[ZERO; B]; B];
         for i in (first..n).rev() {
             let below = diagonal;
@@ -76,10 +82,10 @@ impl<const B: usize> Factor<B> {
                 }
             }
             if i <= last {
-                let mut row = vec![diagonal];
-                if let Some(next) = rows.last() {
-                    row.extend(next.iter().map(|block| negative_product(&self.coupling[i], block)));
-                }
+                let next = rows.last().map_or(&[][..], |next| next);
+                let mut row = Vec::with_capacity(1 + next.len());
+                row.push(std::array::from_fn(|r| columns.map(|c| diagonal[r][c])));
+                row.extend(next.iter().map(|block| negative_product(&self.coupling[i], block)));
                 rows.push(row);
             }
         }
@@ -88,8 +94,8 @@ impl<const B: usize> Factor<B> {
     }
 }
 
-fn negative_product<const B: usize>(a: &Block<B>, b: &Block<B>) -> Block<B> {
-    multiply(a, b).map(|row| row.map(|v| -v))
+fn negative_product<const B: usize, const C: usize>(a: &Block<B>, b: &Columns<B, C>) -> Columns<B, C> {
+    std::array::from_fn(|i| std::array::from_fn(|j| (0..B).fold(ZERO, |acc, k| acc - a[i][k] * b[k][j])))
 }
 
 fn apply<const B: usize>(m: &Block<B>, v: &[c64; B]) -> [c64; B] {
@@ -161,14 +167,17 @@ mod tests {
         let rhs: Vec<[c64; 2]> = (0..5).map(|k| [value(k, 1, 0.2), value(2, k, 0.9)]).collect();
         let mut x = rhs.clone();
         Factor::new(diagonal.clone(), &upper).solve(&mut x);
-        let blocks = Factor::new(diagonal.clone(), &upper).inverse_blocks(1, 3);
+        let blocks = Factor::new(diagonal.clone(), &upper).inverse_columns([1, 3], [0, 1]);
+        let second = Factor::new(diagonal.clone(), &upper).inverse_columns([1, 3], [1]);
         for (j, column) in [(1, 0), (2, 1), (3, 1)] {
             let mut unit = vec![[ZERO; 2]; 5];
             unit[j][column] = c64::new(1.0, 0.0);
             Factor::new(diagonal.clone(), &upper).solve(&mut unit);
             for i in 1..=j {
                 for r in 0..2 {
-                    assert!((blocks[i - 1][j - i][r][column] - unit[i][r]).norm() < 1e-12, "{i} {j}");
+                    let found = blocks[i - 1][j - i][r];
+                    assert!((found[column] - unit[i][r]).norm() < 1e-12, "{i} {j}");
+                    assert_eq!(second[i - 1][j - i][r], [found[1]], "{i} {j}");
                 }
             }
         }

@@ -1,6 +1,7 @@
 //! Ballast stiffness around the crossing: three-parameter distribution and its calibration (paper, section 3.1).
 
 pub mod evidence;
+pub mod low_track;
 pub mod quasi_static;
 
 use crate::track::Track;

@@ -19,7 +19,7 @@ use crate::progress::Progress;
 use crate::reconstruct::{Recording, SPEEDS_M_S, SpeedSearch, Timing, comb, estimate_speed, flat_top_m_s2};
 use crate::recording::Site;
 use crate::signal::{mean, quantile};
-use crate::track::{Mesh, Track};
+use crate::track::Track;
 use crate::vehicle::{AxleGroup, AxlePattern, static_wheel_force_n};
 
 use self::classes::{class_of, forces_of_classes};
@@ -229,7 +229,6 @@ pub fn identify<'s>(site: &'s Site, progress: &dyn Progress) -> Result<Identifie
         return Err(IdentifyError::NoPassage);
     }
     let direction = crossing.traffic_direction.sign();
-    let track = Track::of_crossing(crossing, Mesh::default());
     let pattern = AxlePattern::of_vehicle(&crossing.vehicle);
     progress.begin("speed of the trains", site.passages.len() as u64);
     let recordings: Vec<Recording> =
@@ -241,13 +240,15 @@ pub fn identify<'s>(site: &'s Site, progress: &dyn Progress) -> Result<Identifie
         .iter()
         .map(|p| static_wheel_force_n(p.axle_load_kg, crossing.vehicle.gravity_m_s2))
         .collect();
-    let problem = EvidenceProblem::new(&track, direction, &pattern, &crossing.vehicle);
+    let descriptions = Descriptions::new(crossing, &pattern);
+    let problem = EvidenceProblem { track: descriptions.track(), direction, pattern: &pattern };
     let known =
         Known { problem: &problem, recordings: &recordings, speed_m_s, static_force_n: &static_force_n };
-    let descriptions = Descriptions::new(crossing, &pattern);
     let all: Vec<usize> = (0..site.passages.len()).collect();
     let quasi_static = known.quasi_static_fit(&all, progress);
     let rough = quasi_static.start_of_evidence();
+    // Both begin there.
+    problem.low_model(&Calibration::starting(rough, direction));
     let (found, suspicion) = rayon::join(
         || known.of_sound_passages(&all, quasi_static, progress),
         || descriptions.suspicion(&known.heard(&all), &rough),
@@ -257,6 +258,7 @@ pub fn identify<'s>(site: &'s Site, progress: &dyn Progress) -> Result<Identifie
     let OneWay { used, described, other, found } = known.one_way(found, &descriptions, progress)?;
     let misdescription = suspicion.filter(|s| descriptions.confirmed(*s, &known.heard(&used)));
     let Found { quasi_static, calibration, ballast, greens, nearby_greens, classes, timings, misfit } = found;
+    let track = descriptions.track().track.clone();
     let quiet: Vec<f64> = used.iter().map(|i| recordings[*i].quiet_rms_m_s2).collect();
     Ok(IdentifiedSite {
         site,

@@ -66,8 +66,8 @@ pub fn package(identified: &IdentifiedSite, progress: &dyn Progress) -> Result<P
     Ok(crate::kernel::package(identified, &|| progress.step())?)
 }
 
-/// Model displacement is computed at this rate, Hz: the static response holds nothing above 60 Hz.
-const MODEL_RATE_HZ: f64 = 400.0;
+/// Sampling of the model displacement: the static response holds nothing above 60 Hz.
+const DISPLACEMENT: GreensSampling = GreensSampling { rate_hz: 400.0, len: 256, band_hz: [110.0, 160.0] };
 /// Below this the model supplies the displacement, Hz (measured: `docs/method.md`).
 const COMPLEMENT_HZ: f64 = 3.0;
 /// Step of the result grid, metres (contract).
@@ -125,11 +125,10 @@ fn interaction(identified: &IdentifiedSite) -> Interaction {
 }
 
 fn displacement_greens(identified: &IdentifiedSite) -> GreensFunctions {
-    let sampling = GreensSampling { rate_hz: MODEL_RATE_HZ, ..GreensSampling::low() };
     GreensFunctions::new(
         &identified.track,
         &distribution(identified),
-        sampling,
+        DISPLACEMENT,
         Quantity::Displacement,
         &Chain::Corrected,
     )
@@ -168,10 +167,10 @@ fn passage_result(
     }
 }
 
-/// Displacement of the calibrated model under constant wheel forces, at [`MODEL_RATE_HZ`], over the recording.
+/// Displacement of the calibrated model under constant wheel forces, at the rate of [`DISPLACEMENT`], over the recording.
 fn model_displacement(identified: &IdentifiedSite, index: usize, greens: &GreensFunctions) -> Vec<f64> {
     let timing = identified.timings[index];
-    let samples = (identified.recordings[index].duration_s() * MODEL_RATE_HZ).round() as usize;
+    let samples = (identified.recordings[index].duration_s() * DISPLACEMENT.rate_hz).round() as usize;
     let mut sum = vec![0.0; samples];
     for offset in &identified.pattern.offset_m {
         let path = WheelPath {

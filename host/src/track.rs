@@ -6,6 +6,7 @@
 mod benchmark;
 mod block;
 mod check;
+mod grid;
 mod sleeper;
 mod slopes;
 
@@ -17,6 +18,7 @@ use crate::recording::Crossing;
 use crate::section::BeamSection;
 use block::{Block, Factor, ZERO, invert};
 pub use check::TrackError;
+pub use grid::RailGrid;
 pub use sleeper::{Sleeper, SleeperBeam, SleeperLayout};
 
 /// Element lengths of the mesh, metres.
@@ -172,29 +174,6 @@ impl Track {
         let solved = |f: &f64| self.sensor_solution(&self.system(std::f64::consts::TAU * f, ballast_n_m2));
         let solved: Vec<_> = frequency_hz.par_iter().map(solved).collect();
         SensorReceptance::of(frequency_hz, solved.iter())
-    }
-
-    /// Receptance at the sensor to a force on both rails at once, on a grid of `step_m` along the whole track: nodal
-    /// values of one frequency, interpolated by the shape functions.
-    pub fn both_rails_on_grid(&self, crossing: &[[c64; 2]], stock: &[[c64; 2]], step_m: f64) -> Vec<c64> {
-        let last = self.node_x_m.len() - 1;
-        let count = (last as f64 * self.step_m / step_m + 1e-9).floor() as usize + 1;
-        (0..count)
-            .map(|i| {
-                let position = i as f64 * step_m / self.step_m;
-                let e = (position as usize).min(last - 1);
-                let mut sum = ZERO;
-                for (side, nodal) in [(Side::Crossing, crossing), (Side::Stock, stock)] {
-                    let phi = beam::shear_ratio(self.element_section(side, e), self.step_m);
-                    let n = beam::shape(phi, self.step_m, position - e as f64);
-                    sum += nodal[e][0] * n[0]
-                        + nodal[e][1] * n[1]
-                        + nodal[e + 1][0] * n[2]
-                        + nodal[e + 1][1] * n[3];
-                }
-                sum
-            })
-            .collect()
     }
 
     /// Deflection of the rail nodes `read` of one rail per unit vertical force on each of the nodes `loaded` of the

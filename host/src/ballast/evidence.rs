@@ -11,24 +11,20 @@ use faer::Mat;
 use rayon::prelude::*;
 
 use super::BallastParameters;
-use crate::greens::{Chain, GreensFunctions, GreensSampling, Quantity};
-use crate::interaction::{BogieResponses, Interaction};
+use super::low_track::{LowModel, LowTrack};
 use crate::inverse::hierarchy::{Moved, SiteModel, SitePassage, SitePosterior};
 use crate::inverse::hyper::{IRREGULARITY, refine};
-use crate::inverse::{CommonProfile, Excitation, InverseError, Prior, ProfileGrids, TrackModel};
-use crate::recording::Vehicle;
-use crate::track::Track;
+use crate::inverse::{CommonProfile, InverseError, Prior, ProfileGrids};
 use crate::vehicle::AxlePattern;
 
 /// Everything of a site that stays fixed while the ballast is varied.
 pub struct EvidenceProblem<'a> {
-    /// Track without ballast.
-    pub track: &'a Track,
+    /// Track on any ballast.
+    pub track: &'a LowTrack,
     /// +1 facing, -1 trailing.
     pub direction: f64,
     /// Axle pattern of the trains.
     pub pattern: &'a AxlePattern,
-    bogie: Arc<BogieResponses>,
 }
 
 /// Prior of the shape p3: between a smooth minimum under the crossing sleeper (q = s², p3 = 0.25) and a cusp (linear,
@@ -88,13 +84,7 @@ impl Calibration {
     }
 }
 
-impl<'a> EvidenceProblem<'a> {
-    /// On the track of a crossing.
-    pub fn new(track: &'a Track, direction: f64, pattern: &'a AxlePattern, vehicle: &Vehicle) -> Self {
-        let bogie = Arc::new(BogieResponses::new(vehicle, GreensSampling::low()));
-        Self { track, direction, pattern, bogie }
-    }
-
+impl EvidenceProblem<'_> {
     /// Linearises until ballast and axle times stay, at most `rounds` times; moves the axle times of the passages.
     pub fn converge(
         &self,
@@ -120,9 +110,12 @@ impl<'a> EvidenceProblem<'a> {
         }
     }
 
-    /// Moves the axle times and speeds of passages to where the model of `state` sees them.
-    pub fn align(&self, state: &Calibration, passages: &mut [SitePassage]) -> Result<(), InverseError> {
-        realign(passages, &self.posterior_held(state, passages)?);
+    /// Moves the axle times and speeds of passages to where the model of `state`, its irregularity included, sees them, each by itself.
+    pub fn follow(&self, state: &Calibration, passages: &mut [SitePassage]) -> Result<(), InverseError> {
+        let model = self.low_model(state);
+        let site = self.site_model(&model, Vec::new(), &state.prior, &state.irregularity);
+        let followed = site.follow(passages)?;
+        realign(passages, &followed);
         Ok(())
     }
 
@@ -132,22 +125,13 @@ impl<'a> EvidenceProblem<'a> {
         state: &Calibration,
         passages: &[SitePassage],
     ) -> Result<SitePosterior, InverseError> {
-        self.posterior_on(&self.low_model(state), state, passages)
+        let model = self.low_model(state);
+        self.site_model(&model, Vec::new(), &state.prior, &state.irregularity).posterior(passages)
     }
 
-    /// The same on a track that is at hand.
-    pub fn posterior_on(
-        &self,
-        model: &LowModel,
-        state: &Calibration,
-        passages: &[SitePassage],
-    ) -> Result<SitePosterior, InverseError> {
-        self.site_model(model, Vec::new(), &state.prior, &state.irregularity).posterior(passages)
-    }
-
-    /// The track on the ballast of `state`, whichever trains run on it.
-    pub fn low_model(&self, state: &Calibration) -> LowModel {
-        LowModel::new(self, &state.ballast, state.prior.half_m)
+    /// The track on the ballast of `state`.
+    pub fn low_model(&self, state: &Calibration) -> Arc<LowModel> {
+        self.track.model(&state.ballast, state.prior.half_m)
     }
 
     /// Posterior of a site, linearised about `state`, at the low sampling.
@@ -157,18 +141,19 @@ impl<'a> EvidenceProblem<'a> {
         passages: &[SitePassage],
     ) -> Result<SitePosterior, InverseError> {
         let z = state.ballast.to_vector();
-        let ballasts: Vec<BallastParameters> = std::iter::once(state.ballast)
-            .chain((0..3).map(|k| state.ballast.moved(k, DIFFERENCE[k])))
-            .collect();
         let half_m = state.prior.half_m;
-        let models: Vec<LowModel> = ballasts.par_iter().map(|b| LowModel::new(self, b, half_m)).collect();
+        let beside = |k: usize| self.track.passing_model(&state.ballast.moved(k, DIFFERENCE[k]), half_m);
+        let (model, nearby) = rayon::join(
+            || self.low_model(state),
+            || (0..3).into_par_iter().map(beside).collect::<Vec<LowModel>>(),
+        );
         let prior_of = |k: usize| if k < 2 { STIFFNESS_PRIOR } else { P3_PRIOR };
         let moved = (0..3).map(|k| Moved {
-            model: models[k + 1].track_model(),
+            model: nearby[k].track_model(),
             step: DIFFERENCE[k],
             prior: (prior_of(k).0 - z[k], prior_of(k).1),
         });
-        self.site_model(&models[0], moved.collect(), &state.prior, &state.irregularity).posterior(passages)
+        self.site_model(&model, moved.collect(), &state.prior, &state.irregularity).posterior(passages)
     }
 
     /// Prior whose hyper-parameters the evidence prefers, all else as in `state`.
@@ -220,27 +205,6 @@ pub fn realign(passages: &mut [SitePassage], posterior: &SitePosterior) {
         let timing = &mut passage.timing;
         timing.first_axle_s += posterior.shift_m[i] / timing.speed_m_s;
         timing.speed_m_s /= 1.0 + posterior.stretch[i];
-    }
-}
-
-/// Track of given ballast at the low sampling.
-pub struct LowModel {
-    greens: GreensFunctions,
-    interaction: Interaction,
-}
-
-impl LowModel {
-    fn new(problem: &EvidenceProblem, ballast: &BallastParameters, half_m: f64) -> Self {
-        let track = problem.track;
-        let distribution = ballast.bed(track);
-        let sensor = (Quantity::Acceleration, &Chain::Corrected);
-        let (interaction, greens) =
-            Interaction::and_sensor(track, &distribution, &problem.bogie, half_m, sensor);
-        Self { greens, interaction }
-    }
-
-    fn track_model(&self) -> TrackModel<'_> {
-        TrackModel { greens: &self.greens, excitation: Excitation::Irregularity(&self.interaction) }
     }
 }
 

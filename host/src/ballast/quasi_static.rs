@@ -11,7 +11,7 @@ use rayon::prelude::*;
 
 use super::BallastParameters;
 use crate::reconstruct::{ABOUT, Recording, comb};
-use crate::track::{SensorReceptance, Track};
+use crate::track::{RailGrid, SensorReceptance, Track};
 use crate::vehicle::AxlePattern;
 
 /// Deformation wavelength that separates quasi-static from dynamic response, metres (paper, section 3.1).
@@ -47,6 +47,8 @@ pub struct QuasiStatic<'a> {
     track: &'a Track,
     direction: f64,
     frequency_hz: Vec<f64>,
+    /// Where the moving load is sampled.
+    grid: RailGrid,
     passages: Vec<QuasiStaticPassage>,
 }
 
@@ -92,7 +94,7 @@ impl<'a> QuasiStatic<'a> {
             .par_iter()
             .map(|(recording, speed, force)| prepare(recording, *speed, *force, pattern, &frequency_hz))
             .collect();
-        Self { track, direction, frequency_hz, passages }
+        Self { track, direction, frequency_hz, grid: track.rail_grid(STEP_M), passages }
     }
 
     /// Times of the first axles for given ballast: global search, then Newton steps on the correlation.
@@ -149,11 +151,15 @@ impl<'a> QuasiStatic<'a> {
 
     /// Models of all passages on a track of given receptance, or their derivatives for one of its derivatives.
     fn models_of(&self, receptance: &SensorReceptance) -> Vec<Vec<c64>> {
-        let profile: Vec<Vec<c64>> = (0..self.frequency_hz.len())
-            .into_par_iter()
-            .map(|k| self.track.both_rails_on_grid(&receptance.crossing[k], &receptance.stock[k], STEP_M))
+        let lines: Vec<Line> = receptance
+            .crossing
+            .par_iter()
+            .zip(&receptance.stock)
+            .map(|(crossing, stock)| self.line(&self.grid.both_rails(crossing, stock)))
             .collect();
-        self.passages.par_iter().map(|p| self.model_of(p, &profile)).collect()
+        let arch = pulp::Arch::new();
+        let of = |passage| arch.dispatch(|| self.model_of(passage, &lines));
+        self.passages.par_iter().map(of).collect()
     }
 
     /// Models as [`Self::models`] gives them, and their derivatives by (ln p1, ln p2, p3).
@@ -201,24 +207,27 @@ impl<'a> QuasiStatic<'a> {
         columns
     }
 
-    fn model_of(&self, passage: &QuasiStaticPassage, profile: &[Vec<c64>]) -> Vec<c64> {
+    /// What acts on the sensor along the track at one frequency, the fading load included.
+    fn line(&self, profile: &[c64]) -> Line {
+        let first = self.track.node_x_m[0];
+        let fading = profile.iter().enumerate().map(|(i, h)| {
+            let x = first + i as f64 * STEP_M;
+            h * ((FADE_M[1] - x.abs()) / (FADE_M[1] - FADE_M[0])).clamp(0.0, 1.0)
+        });
+        Line::new(fading)
+    }
+
+    #[inline(always)]
+    fn model_of(&self, passage: &QuasiStaticPassage, lines: &[Line]) -> Vec<c64> {
         let first = self.track.node_x_m[0];
         let scale = passage.static_force_n / passage.speed_m_s * STEP_M;
         self.frequency_hz
             .iter()
-            .zip(profile)
+            .zip(lines)
             .zip(&passage.pattern)
-            .map(|((f, row), pattern)| {
+            .map(|((f, line), pattern)| {
                 let turn = -std::f64::consts::TAU * f * self.direction / passage.speed_m_s;
-                let (mut phasor, advance) = (unit(turn * first), unit(turn * STEP_M));
-                let mut sum = c64::new(0.0, 0.0);
-                for (i, h) in row.iter().enumerate() {
-                    let x = first + i as f64 * STEP_M;
-                    let weight = ((FADE_M[1] - x.abs()) / (FADE_M[1] - FADE_M[0])).clamp(0.0, 1.0);
-                    sum += h * phasor * weight;
-                    phasor *= advance;
-                }
-                sum * scale * pattern
+                line.turned(turn * STEP_M) * unit(turn * first) * pattern * scale
             })
             .collect()
     }
@@ -283,6 +292,42 @@ impl<'a> QuasiStatic<'a> {
         }
         let scale = 1.0 / power.sqrt().max(f64::MIN_POSITIVE);
         out.iter().map(|v| v * scale).collect()
+    }
+}
+
+/// Neighbouring points that are summed side by side.
+const LANES: usize = 8;
+
+/// Values along the grid at one frequency, real and imaginary parts, [`LANES`] at a time; the last ones are filled up with zeros.
+struct Line(Vec<[[f64; LANES]; 2]>);
+
+impl Line {
+    fn new(values: impl Iterator<Item = c64>) -> Self {
+        let mut chunks: Vec<[[f64; LANES]; 2]> = Vec::new();
+        for (i, value) in values.enumerate() {
+            if i % LANES == 0 {
+                chunks.push([[0.0; LANES]; 2]);
+            }
+            if let Some([re, im]) = chunks.last_mut() {
+                (re[i % LANES], im[i % LANES]) = (value.re, value.im);
+            }
+        }
+        Self(chunks)
+    }
+
+    /// Σ value of point i · e^{i·phase·i}: the phasor advances by a constant factor from chunk to chunk.
+    #[inline(always)]
+    fn turned(&self, phase: f64) -> c64 {
+        let (mut phasor, advance) = (c64::new(1.0, 0.0), unit(phase * LANES as f64));
+        let [mut sum_re, mut sum_im] = [[0.0; LANES]; 2];
+        for [re, im] in &self.0 {
+            for lane in 0..LANES {
+                sum_re[lane] += re[lane] * phasor.re - im[lane] * phasor.im;
+                sum_im[lane] += re[lane] * phasor.im + im[lane] * phasor.re;
+            }
+            phasor *= advance;
+        }
+        (0..LANES).map(|lane| c64::new(sum_re[lane], sum_im[lane]) * unit(phase * lane as f64)).sum()
     }
 }
 
@@ -420,8 +465,12 @@ mod tests {
             pattern: model.frequency_hz.iter().map(|f| axles(*f)).collect(),
         };
         let truth = BallastParameters { p1_n_m2: 34e6, p2_n_m2: 15e6, p3: 0.45 };
-        let alone =
-            QuasiStatic { passages: vec![out.clone()], frequency_hz: model.frequency_hz.clone(), ..*model };
+        let alone = QuasiStatic {
+            passages: vec![out.clone()],
+            frequency_hz: model.frequency_hz.clone(),
+            grid: model.grid.clone(),
+            ..*model
+        };
         let spectra = alone.models(&truth);
         let place = |f: f64| unit(-std::f64::consts::TAU * f * time_s);
         out.measured = model
@@ -438,7 +487,9 @@ mod tests {
     fn analytic_gradient_of_the_quasi_static_misfit() {
         let track = panel(STIFF, Mesh::default());
         let frequency_hz: Vec<f64> = (4..=38).map(|k| 0.5 * f64::from(k)).collect();
-        let mut model = QuasiStatic { track: &track, direction: 1.0, frequency_hz, passages: Vec::new() };
+        let grid = track.rail_grid(STEP_M);
+        let mut model =
+            QuasiStatic { track: &track, direction: 1.0, frequency_hz, grid, passages: Vec::new() };
         model.passages = vec![passage(&model, 44.0, 0.6), passage(&model, 38.0, 0.7)];
         let at = BallastParameters { p1_n_m2: 28e6, p2_n_m2: 20e6, p3: 0.4 };
         let times = model.align(&at);

@@ -2,18 +2,19 @@
 //! residual: ballast, profile and prior take over what does not fit. The evidence of one train tells the descriptions apart.
 
 use std::fmt;
+use std::sync::Arc;
 
 use rayon::prelude::*;
 
 use super::spread_out;
 use crate::ballast::BallastParameters;
 use crate::ballast::evidence::{Calibration, EvidenceProblem};
+use crate::ballast::low_track::LowTrack;
 use crate::ballast::quasi_static::{QuasiStatic, QuasiStaticFit};
 use crate::inverse::hierarchy::SitePassage;
 use crate::reconstruct::{Recording, Timing};
 use crate::recording::{Crossing, TrafficDirection};
 use crate::signal::mean;
-use crate::track::{Mesh, Track};
 use crate::vehicle::AxlePattern;
 
 /// What crossing.toml has otherwise than the recordings.
@@ -71,12 +72,20 @@ pub type Heard<'r> = (&'r Recording, f64, f64);
 /// Descriptions of a panel that are to be told apart.
 pub struct Descriptions<'a> {
     pub(super) pattern: &'a AxlePattern,
-    pub(super) described: Crossing,
+    pub(super) described: Panel,
     others: Vec<Other>,
 }
 
+/// A panel as it may be described.
+pub(super) struct Panel {
+    /// Track on any ballast.
+    pub(super) track: Arc<LowTrack>,
+    /// Of traffic.
+    pub(super) direction: TrafficDirection,
+}
+
 /// What would be otherwise, and the panel with it.
-type Other = (Misdescription, Crossing);
+type Other = (Misdescription, Panel);
 
 /// Ballast while a train is asked: as it is, or to be found with everything else, which costs four times as much.
 #[derive(Clone, Copy)]
@@ -110,7 +119,14 @@ impl Evidence {
 impl<'a> Descriptions<'a> {
     /// The panel of crossing.toml, and those that it could have been meant to be.
     pub fn new(crossing: &Crossing, pattern: &'a AxlePattern) -> Self {
-        Self { pattern, described: crossing.clone(), others: others(crossing) }
+        let track = Arc::new(LowTrack::of_crossing(crossing));
+        let others = others(crossing, &track);
+        Self { pattern, described: Panel { track, direction: crossing.traffic_direction }, others }
+    }
+
+    /// The track of crossing.toml on any ballast.
+    pub fn track(&self) -> &LowTrack {
+        &self.described.track
     }
 
     /// What the usual train would have otherwise on about this ballast, if that is plain.
@@ -147,7 +163,7 @@ impl<'a> Descriptions<'a> {
         start: &BallastParameters,
         train: Heard,
     ) -> (Evidence, Vec<Evidence>) {
-        let of = |panel: &Crossing| self.evidence(ballast, panel, start, train);
+        let of = |panel: &Panel| self.evidence(ballast, panel, start, train);
         rayon::join(|| of(&self.described), || others.par_iter().map(|(_, panel)| of(panel)).collect())
     }
 
@@ -178,28 +194,20 @@ impl<'a> Descriptions<'a> {
 
     /// Evidence of one train for the panel of crossing.toml and for another.
     fn pair(&self, (_, other): &Other, start: &BallastParameters, train: Heard) -> [Evidence; 2] {
-        let of = |panel: &Crossing| self.evidence(Ballast::Free, panel, start, train);
+        let of = |panel: &Panel| self.evidence(Ballast::Free, panel, start, train);
         rayon::join(|| of(&self.described), || of(other)).into()
     }
 
     /// Ballast and axle times on which the sleeper sinks as under some trains: much the same whatever the description.
     pub fn quasi_static(&self, trains: &[Heard]) -> QuasiStaticFit {
-        let track = Track::of_crossing(&self.described, Mesh::default());
-        let direction = self.described.traffic_direction.sign();
-        QuasiStatic::new(&track, direction, self.pattern, trains).fit(BallastParameters::NOMINAL)
+        let Panel { track, direction } = &self.described;
+        QuasiStatic::new(&track.track, direction.sign(), self.pattern, trains).fit(BallastParameters::NOMINAL)
     }
 
     /// Evidence of one train near a ballast, with nothing known of the forces; none where the estimate breaks down.
-    fn evidence(
-        &self,
-        ballast: Ballast,
-        panel: &Crossing,
-        start: &BallastParameters,
-        train: Heard,
-    ) -> Evidence {
-        let direction = panel.traffic_direction.sign();
-        let track = Track::of_crossing(panel, Mesh::default());
-        let first_axle_s = QuasiStatic::new(&track, direction, self.pattern, &[train]).align(start);
+    fn evidence(&self, ballast: Ballast, panel: &Panel, start: &BallastParameters, train: Heard) -> Evidence {
+        let (track, direction) = (panel.track.as_ref(), panel.direction.sign());
+        let first_axle_s = QuasiStatic::new(&track.track, direction, self.pattern, &[train]).align(start);
         let (recording, speed_m_s, static_force_n) = train;
         let passage = |first_axle_s: &f64| SitePassage {
             recording,
@@ -208,7 +216,7 @@ impl<'a> Descriptions<'a> {
         };
         let passages: Vec<SitePassage> = first_axle_s.iter().map(passage).collect();
         let state = Calibration::starting(*start, direction);
-        let problem = EvidenceProblem::new(&track, direction, self.pattern, &panel.vehicle);
+        let problem = EvidenceProblem { track, direction, pattern: self.pattern };
         let found = match ballast {
             Ballast::Held => problem.posterior_held(&state, &passages),
             Ballast::Free => problem.posterior(&state, &passages),
@@ -224,15 +232,17 @@ fn usual<'r>(trains: &[Heard<'r>]) -> Option<Heard<'r>> {
     sorted.get(sorted.len() / 2).copied()
 }
 
-fn others(crossing: &Crossing) -> Vec<Other> {
-    let direction = crossing.traffic_direction.reversed();
-    let other_way = Crossing { traffic_direction: direction, ..crossing.clone() };
+fn others(crossing: &Crossing, track: &Arc<LowTrack>) -> Vec<Other> {
+    let described = crossing.traffic_direction;
+    let direction = described.reversed();
+    let other_way = Panel { track: Arc::clone(track), direction };
     let described_m = crossing.sensor_x_m();
     let spacing_m = crossing.track.sleeper_spacing_m;
     let on_next = [-spacing_m, spacing_m].map(|along_m| {
         let mut next = crossing.clone();
         next.track.crossing_sleeper_x_m += along_m;
-        (Misdescription::SensorSleeper { x_m: described_m + along_m, described_m }, next)
+        let panel = Panel { track: Arc::new(LowTrack::of_crossing(&next)), direction: described };
+        (Misdescription::SensorSleeper { x_m: described_m + along_m, described_m }, panel)
     });
     std::iter::once((Misdescription::Direction(direction), other_way)).chain(on_next).collect()
 }

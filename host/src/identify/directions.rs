@@ -13,7 +13,6 @@ use crate::ballast::evidence::{Calibration, EvidenceProblem};
 use crate::inverse::hierarchy::SitePassage;
 use crate::progress::Progress;
 use crate::reconstruct::Timing;
-use crate::track::{Mesh, Track};
 use crate::vehicle::AxlePattern;
 
 /// How much more evidence, nats, the front bogie of a train must have for crossing.toml's direction, the rough ballast held, to be left at
@@ -80,23 +79,20 @@ impl Descriptions<'_> {
         first_axle_s: &[f64],
         rough: &BallastParameters,
     ) -> Vec<Option<bool>> {
-        let track = Track::of_crossing(&self.described, Mesh::default());
+        let (track, described) = (self.track(), self.described.direction);
         let bogie = front_bogie(self.pattern);
-        let described = self.described.traffic_direction;
         let ways = [described, described.reversed()].map(|way| {
-            let problem = EvidenceProblem::new(&track, way.sign(), &bogie, &self.described.vehicle);
+            let problem = EvidenceProblem { track, direction: way.sign(), pattern: &bogie };
             (problem, Calibration::starting(*rough, way.sign()))
         });
-        // The track is the same whichever way trains run.
-        let model = ways[0].0.low_model(&ways[0].1);
-        let sensor_x_m = self.described.sensor_x_m();
+        let sensor_x_m = track.track.sleeper_x_m[track.track.sensor_sleeper];
         let margin = |(recording, speed_m_s, static_force_n): Heard, first_axle_s: f64| {
             let [ahead, back] = ways.each_ref().map(|(problem, state)| {
                 // The sleeper sinks when the wheel is over the sensor: before or after x = 0, by the direction.
                 let later_s = (described.sign() - problem.direction) * sensor_x_m / speed_m_s;
                 let timing = Timing { speed_m_s, first_axle_s: first_axle_s + later_s };
                 let passage = SitePassage { recording, timing, static_force_n };
-                let posterior = problem.posterior_on(&model, state, &[passage]);
+                let posterior = problem.posterior_held(state, &[passage]);
                 posterior.map_or(f64::NEG_INFINITY, |p| p.log_evidence)
             });
             ahead - back

@@ -48,8 +48,8 @@ impl Known<'_> {
     }
 
     fn quasi_static(&self, which: &[usize]) -> QuasiStatic<'_> {
-        let EvidenceProblem { track, direction, pattern, .. } = self.problem;
-        QuasiStatic::new(track, *direction, pattern, &self.heard(which))
+        let EvidenceProblem { track, direction, pattern } = self.problem;
+        QuasiStatic::new(&track.track, *direction, pattern, &self.heard(which))
     }
 
     fn passages(&self, which: &[usize], first_axle_s: &[f64]) -> Vec<SitePassage<'_>> {
@@ -76,8 +76,8 @@ impl Known<'_> {
     ) -> Result<Found, IdentifyError> {
         let mut passages = self.passages(which, &quasi_static.first_axle_s);
         let (calibration, ballast) = calibrate(self.problem, &quasi_static, &mut passages, progress)?;
-        let EvidenceProblem { track, direction, pattern, .. } = self.problem;
-        let (greens, nearby_greens) = calibrated_greens(track, &ballast.parameters);
+        let EvidenceProblem { track, direction, pattern } = self.problem;
+        let (greens, nearby_greens) = calibrated_greens(&track.track, &ballast.parameters);
         let (classes, misfit) = forces_of_classes(&greens, *direction, pattern, &mut passages, progress)?;
         let timings = passages.iter().map(|p| p.timing).collect();
         Ok(Found { quasi_static, calibration, ballast, greens, nearby_greens, classes, timings, misfit })
@@ -106,7 +106,7 @@ impl Known<'_> {
         }
         let first_axle_s = self.quasi_static(&others).align(&found.ballast.parameters);
         let mut passages = self.passages(&others, &first_axle_s);
-        self.problem.align(&found.calibration, &mut passages)?;
+        self.problem.follow(&found.calibration, &mut passages)?;
         let EvidenceProblem { direction, pattern, .. } = self.problem;
         let mut misfit = Vec::new();
         for passage in &mut passages {
@@ -148,15 +148,20 @@ fn calibrate(
 ) -> Result<(Calibration, EvidenceFit), IdentifyError> {
     progress.begin("ballast by evidence", 4);
     let mut state = Calibration::starting(quasi_static.start_of_evidence(), problem.direction);
-    let mut some = spread_out(passages, CALIBRATION_PASSAGES);
+    let all: Vec<usize> = (0..passages.len()).collect();
+    let searched = spread_out(&all, CALIBRATION_PASSAGES);
+    let others: Vec<usize> = all.into_iter().filter(|i| !searched.contains(i)).collect();
+    let of = |which: &[usize]| which.iter().map(|i| passages[*i]).collect::<Vec<SitePassage>>();
+    let (mut some, mut followed) = (of(&searched), of(&others));
     problem.converge(&mut state, &mut some, ROUGH_ROUNDS)?;
     progress.step();
     state.prior = problem.refined(&state, &spread_out(&some, HYPER_PASSAGES))?;
     progress.step();
     problem.converge(&mut state, &mut some, SEARCH_ROUNDS)?;
     progress.step();
-    // Axle times first: they are far off where the search has not used a passage, and cheap without the derivatives.
-    problem.align(&state, passages)?;
+    // Axle times of the others first: they are far off, as the search has not used them.
+    problem.follow(&state, &mut followed)?;
+    passages.copy_from_slice(&merged(&searched, &some, &others, &followed));
     let fit = problem.converge(&mut state, passages, LAST_ROUNDS)?;
     progress.step();
     Ok((state, fit))

@@ -230,7 +230,7 @@ fn on_centimetres(track: &Track, f: &[f64], spline: bool) -> Vec<Vec<c64>> {
         .iter()
         .map(|row| {
             if !spline {
-                return track.both_rails_on_grid(row, &none, 0.01);
+                return track.rail_grid(0.01).both_rails(row, &none);
             }
             let part = |value: fn(&[c64; 2]) -> f64| -> Vec<f64> {
                 let y: Vec<f64> = row.iter().map(value).collect();

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use cpcm::ballast::BallastParameters;
-use cpcm::gap::base::{base, nominal_world};
+use cpcm::gap::base::{Given, base, nominal_world};
 use cpcm::gap::diagnosis::{DiagnoseOptions, PATH_PRIOR, diagnose};
 use cpcm::gap::effects::COMMON;
 use cpcm::gap::fit::{FitOptions, fit, replaced};
@@ -15,7 +15,6 @@ use cpcm::gap::results::{diagnosis_json, write_diagnosis};
 use cpcm::gap::split::split;
 use cpcm::gap::trial::draw;
 use cpcm::gap::verdict::Verdict;
-use cpcm::gap::world::SensorModel;
 use cpcm::progress::Silent;
 use cpcm::recording::{Format, Site, read_site, write_site};
 use cpcm_tests::diagnosed::{all_but, field, full, quick, recorded, says, small, trial};
@@ -170,7 +169,7 @@ fn regress_shifted_wheels_do_not_pass_for_soft_pads() {
     let scenario = trial(301, 5, &[]);
     let site = recorded(&scenario);
     let train = split(&site).train;
-    let base = base(&site, &train, &train, &PATH_PRIOR, SensorModel::default()).unwrap();
+    let base = base(&site, &train, &train, &PATH_PRIOR, &Given::default()).unwrap();
     let pads = *COMMON.iter().find(|e| e.name() == "pad-stiffness").unwrap();
     let mut start = base.fit.state.clone();
     start.effects = vec![pads.nought().unwrap()];
@@ -193,7 +192,7 @@ fn property_alike_wheels_leave_next_to_nothing() {
     (wheels.load, wheels.side_load, wheels.depth, wheels.shift_m) = (0.0, 0.0, 0.0, 0.0);
     let site = recorded(&scenario);
     let all: Vec<usize> = (0..site.passages.len()).collect();
-    let base = base(&site, &all, &all, &PATH_PRIOR, SensorModel::default()).unwrap();
+    let base = base(&site, &all, &all, &PATH_PRIOR, &Given::default()).unwrap();
     let state = &base.fit.state;
     let responses = cpcm::gap::fit::simulate(&state.world(&base.frame, &[]), &base.frame, &all).unwrap();
     let (mut left, mut signal) = (0.0, 0.0);
@@ -248,7 +247,7 @@ fn reference_wheels_differ_as_sound_ones_do() {
 fn property_a_passage_a_wave_off_is_found_again() {
     let site = small("reference-2", 4);
     let all: Vec<usize> = (0..site.passages.len()).collect();
-    let base = base(&site, &all, &all, &PATH_PRIOR, SensorModel::default()).unwrap();
+    let base = base(&site, &all, &all, &PATH_PRIOR, &Given::default()).unwrap();
     let there = base.fit.state.shift_m.clone();
     for off_m in [-0.2, 0.2] {
         let mut state = base.fit.state.clone();

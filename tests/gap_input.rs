@@ -196,6 +196,14 @@ fn property_a_silent_site_is_refused() {
     assert!(matches!(quick(&site), Err(GapError::Silent)));
 }
 
+#[test]
+fn regress_a_silent_passage_among_others_is_left_out() {
+    let mut site = small("reference-1", 6);
+    site.passages[1].acceleration_m_s2.fill(0.0);
+    let found = quick(&site).unwrap();
+    assert!(found.predictions.iter().all(|p| p.passage_id != site.passages[1].passage_id));
+}
+
 /// A simulated site without any effect.
 fn soundly_simulated(speed_m_s: f64, passages: usize) -> Site {
     let example = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/examples/site.toml");

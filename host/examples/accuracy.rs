@@ -1,10 +1,14 @@
 //! Error of the analysis against the known truth, one line per site:
 //!
 //!     cargo run --release --example accuracy -- tests/data/field/reference-*
+//!     cargo run --release --example accuracy -- simulated --with-effects diagnosis.json simulated
+//!
+//! Sites that follow a diagnosis are analysed with its effects.
 
 use std::path::Path;
 use std::time::Instant;
 
+use cpcm::gap::corrected::{Purpose, corrected, read_effects};
 use cpcm::pipeline::{AnalyseOptions, analyse};
 use cpcm::progress::Silent;
 use cpcm::recording::read_site;
@@ -18,10 +22,16 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     println!(
         "                         median  90 %    median    median   median        median          mean   peak  curve"
     );
-    for dir in std::env::args().skip(1) {
-        let dir = Path::new(&dir);
-        let site = read_site(dir)?;
+    let mut effects = Vec::new();
+    let mut args = std::env::args().skip(1);
+    while let Some(arg) = args.next() {
+        if arg == "--with-effects" {
+            effects = read_effects(Path::new(&args.next().ok_or("--with-effects wants a diagnosis.json")?))?;
+            continue;
+        }
+        let dir = Path::new(&arg);
         let clock = Instant::now();
+        let site = corrected(&read_site(dir)?, &effects, Purpose::Analysis, &Silent)?;
         let analysis = analyse(&site, &AnalyseOptions::default(), &Silent)?;
         let seconds = clock.elapsed().as_secs_f64();
         let s = score(&analysis, &read_truth(dir)?);

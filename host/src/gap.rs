@@ -9,6 +9,7 @@ pub mod data;
 pub mod diagnosis;
 pub mod effect;
 pub mod effects;
+pub mod equivalent;
 pub mod estimated_path;
 pub mod fit;
 pub mod forward;
@@ -65,7 +66,13 @@ pub enum GapError {
         /// Ends of the rails, metres.
         ends_m: [f64; 2],
     },
-    /// No train in a recording.
+    /// No train in any recording.
     #[error("no passage with a train in it is left; the recordings are silent")]
     Silent,
+    /// No train in some recordings.
+    #[error("no train found in passages {passage_id:?}: leave them out")]
+    SilentPassages {
+        /// Which ones.
+        passage_id: Vec<i32>,
+    },
 }

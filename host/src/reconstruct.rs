@@ -20,8 +20,11 @@ const USED_BAND_HZ: [f64; 2] = [500.0, 700.0];
 /// Samples are taken as quiet (no train near) in this long a stretch at both ends of a recording, seconds; recordings
 /// begin and end at least 0.3 s before and after the train.
 const QUIET_S: f64 = 0.25;
-/// Windows are cut at multiples of this rate, Hz.
+/// Windows are cut at multiples of this rate, Hz, and of a quarter of it.
 const WINDOW_STEP_HZ: f64 = 100.0;
+/// Transform lengths are a multiple of this many of the shortest that lasts whole samples at [`WINDOW_STEP_HZ`]: they last an even number
+/// at a quarter of it as well.
+const LEAST_UNITS: usize = 8;
 /// How well a window's time base is met, relative: 1 µs in a recording of 10 s.
 const TIME_BASE: f64 = 1e-7;
 
@@ -107,7 +110,7 @@ impl Recording {
         signal
     }
 
-    /// Band-limited acceleration at `window_rate_hz`, a multiple of 100 Hz, `len` samples from `start_s` on (any real time;
+    /// Band-limited acceleration at `window_rate_hz`, a multiple of 25 Hz, `len` samples from `start_s` on (any real time;
     /// zero outside the recording). Resampling is exact: the time shift is a phase in the spectrum.
     pub fn window(&self, start_s: f64, window_rate_hz: f64, len: usize, band_hz: [f64; 2]) -> Vec<f64> {
         self.resampled(start_s, window_rate_hz, len, |f| c64::new(taper(f, band_hz[0], band_hz[1]), 0.0))
@@ -148,7 +151,7 @@ impl Recording {
 /// are cut at (a decimation by 12.5 is none by 12 or 13), and otherwise a power of two for speed.
 fn padded_len(len: usize, rate_hz: f64) -> usize {
     let unit = numerator(rate_hz / WINDOW_STEP_HZ);
-    unit * (len + len / 4).div_ceil(unit).next_power_of_two().max(2)
+    unit * (len + len / 4).div_ceil(unit).next_power_of_two().max(LEAST_UNITS)
 }
 
 /// Numerator of the simplest fraction that is `ratio` but for [`TIME_BASE`]: convergents of its continued fraction.
@@ -213,7 +216,7 @@ mod tests {
             [801.5, 1000.0, 1652.9, 2000.0, 2048.0, 3999.7, 4000.0, 5000.0, 10e3, 12.8e3, 44.1e3, 51.2e3]
         {
             let recording = recorded(rate_hz);
-            for window_hz in [200.0, 400.0, 800.0, 1000.0] {
+            for window_hz in [200.0, 375.0, 800.0, 1000.0] {
                 let n = window_hz as usize;
                 let window = recording.window(
                     0.3012,

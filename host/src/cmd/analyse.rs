@@ -8,6 +8,7 @@ use clap::Args;
 use super::output::{print, warn, warn_skipped, with_effects};
 use super::progress::Bar;
 use crate::analysis::{Analysis, Condition};
+use crate::gap::corrected::Purpose;
 use crate::limits::{MODEL_GAP, OTHER_DIRECTION, UNLIKE_DESCRIPTION, UNLIKE_MODEL};
 use crate::pipeline::{self, AnalyseOptions};
 use crate::recording::read_site;
@@ -38,7 +39,7 @@ impl AnalyseArgs {
         let site =
             read_site(&self.site).with_context(|| format!("cannot read site {}", self.site.display()))?;
         warn_skipped(&site.skipped);
-        let site = with_effects(site, self.with_effects.as_deref())?;
+        let site = with_effects(site, self.with_effects.as_deref(), Purpose::Analysis)?;
         let analysis = pipeline::analyse(&site, &AnalyseOptions::default(), &Bar::new())
             .with_context(|| format!("cannot analyse site {}", self.site.display()))?;
         write_results(&self.out, &analysis)

@@ -7,7 +7,7 @@ use clap::Args;
 
 use super::output::{print, print_json, warn_skipped};
 use super::progress::Bar;
-use crate::gap::consequences::{ConsequenceError, Consequences, consequences};
+use crate::gap::consequences::{Consequences, consequences};
 use crate::gap::diagnosis::{DiagnoseOptions, Diagnosis, diagnose};
 use crate::gap::hammer::{BAND_HZ, Hammer};
 use crate::gap::receptance::read_receptance;
@@ -64,8 +64,8 @@ impl DiagnoseArgs {
         if self.consequences && !found.effects.is_empty() {
             match consequences(&site, &found, &Bar::new()) {
                 Ok(c) => found.consequences = Some(c),
-                Err(ConsequenceError::Correction(e)) => found.remarks.push(format!("consequences: {e}")),
-                Err(e) => return Err(e).context("cannot analyse the site with the effects found"),
+                // The diagnosis stands without them.
+                Err(e) => found.remarks.push(format!("consequences: {e}")),
             }
         }
         write_diagnosis(&self.out, &site.crossing.name, &found)

@@ -8,6 +8,7 @@ use serde_json::json;
 
 use super::output::{print, print_json, warn, warn_skipped, with_effects};
 use super::progress::Bar;
+use crate::gap::corrected::Purpose;
 use crate::pipeline::{self, AnalyseOptions};
 use crate::recording::files::write_atomic;
 use crate::recording::read_site;
@@ -34,7 +35,7 @@ impl KernelArgs {
         let site =
             read_site(&self.site).with_context(|| format!("cannot read site {}", self.site.display()))?;
         warn_skipped(&site.skipped);
-        let site = with_effects(site, self.with_effects.as_deref())?;
+        let site = with_effects(site, self.with_effects.as_deref(), Purpose::Kernel)?;
         let package = pipeline::kernel(&site, &AnalyseOptions::default(), &Bar::new())
             .with_context(|| format!("cannot make a kernel for site {}", self.site.display()))?;
         write_atomic(&self.out, &package.bytes).context("cannot write the kernel package")?;

@@ -5,7 +5,8 @@ use std::path::Path;
 
 use anyhow::Context;
 
-use crate::gap::corrected::{corrected, read_effects};
+use super::progress::Bar;
+use crate::gap::corrected::{Included, Purpose, corrected, read_effects};
 use crate::recording::{Site, Skipped};
 
 /// Prints to standard output. A reader that has gone away (`cpcm … | head`) is no failure.
@@ -23,10 +24,16 @@ pub(super) fn print_json(value: &serde_json::Value) -> anyhow::Result<()> {
 }
 
 /// The site with the effects of a `diagnosis.json` taken into account, where one is given.
-pub(super) fn with_effects(site: Site, file: Option<&Path>) -> anyhow::Result<Site> {
+pub(super) fn with_effects(site: Site, file: Option<&Path>, purpose: Purpose) -> anyhow::Result<Site> {
     let Some(file) = file else { return Ok(site) };
     let effects = read_effects(file).context("cannot read the effects to include")?;
-    corrected(&site, &effects).context("cannot include the effects of the diagnosis")
+    if purpose == Purpose::Analysis && effects.iter().any(Included::bends_the_bed) {
+        warn(
+            "recordings are analysed as they would be on a linear bed under the same wheel forces: deflections are smaller than those \
+             recorded, and intervals do not hold what is not known of the bed",
+        );
+    }
+    corrected(&site, &effects, purpose, &Bar::new()).context("cannot include the effects of the diagnosis")
 }
 
 /// Lists the passages that were left out, on standard error.

@@ -212,16 +212,37 @@ pub fn path_root(site: &Site, grids: &PathSplines, prior: &PathPrior) -> Result<
 /// Relative error of the forward model that all wheels share, as a part of the mean window's RMS.
 const DISCREPANCY: f64 = 0.01;
 
-/// Fits the base model to the passages of `subset`; the first, rough fits use `search` only. `sensor` is what is
-/// known of the recorder.
+/// What is known of a site before it is fitted.
+#[derive(Clone, Debug, Default)]
+pub struct Given {
+    /// Recorder.
+    pub sensor: SensorModel,
+    /// Departures from a linear bed.
+    pub bed: Bed,
+}
+
+impl Given {
+    /// Nothing but the recorder.
+    pub fn recorder(sensor: SensorModel) -> Self {
+        Self { sensor, bed: Bed::default() }
+    }
+}
+
+/// Fits the base model to the passages of `subset`; the first, rough fits use `search` only.
 pub fn base(
     site: &Site,
     subset: &[usize],
     search: &[usize],
     prior: &PathPrior,
-    sensor: SensorModel,
+    given: &Given,
 ) -> Result<Base, GapError> {
     let mut observed = observe(site)?;
+    if observed.len() < site.passages.len() {
+        // `subset` counts all of them.
+        let silent = |id: &i32| observed.iter().all(|o| o.passage_id != *id);
+        let passage_id = site.passages.iter().map(|p| p.passage_id).filter(silent).collect();
+        return Err(GapError::SilentPassages { passage_id });
+    }
     let crossing = &site.crossing;
     let pattern = AxlePattern::of_vehicle(&crossing.vehicle);
     let direction = crossing.traffic_direction.sign();
@@ -233,14 +254,14 @@ pub fn base(
         .map(|i| (&observed[*i].recording, observed[*i].speed_m_s, force(&observed[*i])))
         .collect();
     let quasi_static = QuasiStatic::new(&track, direction, &pattern, &inputs).fit(BallastParameters::NOMINAL);
-    let start = match sensor.range_m_s2 {
+    let start = match given.sensor.range_m_s2 {
         // A clipped record has steps in its velocity, which the quasi-static fit takes for deflection.
         Some(_) => BallastParameters::NOMINAL,
         None => quasi_static.start_of_evidence(),
     };
     let mut world = nominal_world(site, start)?;
     world.path.deviation = PathSplines::level(HALF_M, path_steps_m(&observed));
-    world.sensor = sensor;
+    (world.sensor, world.bed) = (given.sensor, given.bed.clone());
     align(&world, &mut observed, window)?;
     observed.par_iter_mut().for_each(|o| o.line_up(window));
     let grids = world.path.deviation.clone();

@@ -1,6 +1,6 @@
 //! What including the effects of a diagnosis changes in the results that matter: force peaks, irregularity, ballast.
 
-use super::corrected::{CorrectionError, Included, corrected};
+use super::corrected::{CorrectionError, Included, Purpose, corrected};
 use super::diagnosis::Diagnosis;
 use crate::analysis::Analysis;
 use crate::pipeline::{AnalyseOptions, PipelineError, analyse};
@@ -66,7 +66,7 @@ pub fn consequences(
             parameters: e.parameters.iter().map(|(n, v, ..)| ((*n).to_string(), *v)).collect(),
         })
         .collect();
-    let other = corrected(site, &effects)?;
+    let other = corrected(site, &effects, Purpose::Analysis, progress)?;
     let without = analyse(site, &AnalyseOptions::default(), progress)?;
     let with = analyse(&other, &AnalyseOptions::default(), progress)?;
     let change = |f: &dyn Fn(&Analysis) -> f64| Change { without: f(&without), with: f(&with) };

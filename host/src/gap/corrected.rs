@@ -1,17 +1,21 @@
 //! A site with the effects of a diagnosis taken into account: what the identification then starts from.
 //!
 //! Corrections go into the inputs: description (pads, rail, masses, loads) and recordings (sensitivity, clock, mounting,
-//! interference, clipping). The identification itself stays as it is: linear, symmetric in load, with the three-parameter
-//! ballast (times known factors). An effect that does not fit in there is refused; leaving it out silently would promise a
-//! correction that is none.
+//! interference, clipping, beds that are not linear). The identification itself stays as it is: linear, symmetric in load, with
+//! the three-parameter ballast (times known factors). An effect that does not fit in there is refused; leaving it out silently
+//! would promise a correction that is none.
 
 use std::path::Path;
 
 use serde_json::Value;
 
+use super::GapError;
 use super::data::QUIET_S;
-use super::effects::support_loss;
+use super::effect::Effect;
+use super::effects::{common, support_loss};
+use super::equivalent::on_linear_bed;
 use super::world::REFERENCE_C;
+use crate::progress::Progress;
 use crate::recording::files::read_bytes;
 use crate::recording::{Passage, RecordingError, Site};
 use crate::signal::{irfft, resample, rfft, rfft_frequencies_hz};
@@ -38,6 +42,9 @@ pub enum CorrectionError {
         /// Reason.
         why: &'static str,
     },
+    /// The recordings could not be made those of a linear bed.
+    #[error("what the bed adds to the recordings cannot be taken off")]
+    Bed(#[from] GapError),
     /// An effect without its strength, or with one outside physics.
     #[error("effect {effect}: {parameter} is {value}, expected {low} … {high}")]
     Parameter {
@@ -72,6 +79,11 @@ impl Included {
         Err(CorrectionError::Parameter { effect: self.name.clone(), parameter, value, low, high })
     }
 
+    /// Whether the recordings have to be made those of a linear bed.
+    pub fn bends_the_bed(&self) -> bool {
+        matches!(self.name.as_str(), "voided-sleepers" | "ballast-stiffening")
+    }
+
     fn refused(&self, why: &'static str) -> CorrectionError {
         CorrectionError::NotApplicable { effect: self.name.clone(), why }
     }
@@ -97,13 +109,54 @@ pub fn read_effects(file: &Path) -> Result<Vec<Included>, CorrectionError> {
         .collect()
 }
 
+/// What a corrected site is for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Purpose {
+    /// Forces, irregularity and ballast from its recordings.
+    Analysis,
+    /// A kernel that the node applies to what its sensor shows, which nobody corrects.
+    Kernel,
+}
+
 /// The site with all `effects` in it.
-pub fn corrected(site: &Site, effects: &[Included]) -> Result<Site, CorrectionError> {
+pub fn corrected(
+    site: &Site,
+    effects: &[Included],
+    purpose: Purpose,
+    progress: &dyn Progress,
+) -> Result<Site, CorrectionError> {
     let mut out = site.clone();
+    let mut departures = Vec::new();
     for effect in effects {
-        include(&mut out, effect)?;
+        match departure(effect, purpose)? {
+            Some(departure) => departures.push(departure),
+            None => include(&mut out, effect)?,
+        }
     }
-    Ok(out)
+    // Last: it takes a model of everything else.
+    if departures.is_empty() { Ok(out) } else { Ok(on_linear_bed(&out, &departures, progress)?) }
+}
+
+/// An effect by which the bed is not linear, and where its fit begins.
+fn departure(
+    effect: &Included,
+    purpose: Purpose,
+) -> Result<Option<(&'static dyn Effect, Vec<f64>)>, CorrectionError> {
+    let (main, range) = match effect.name.as_str() {
+        "voided-sleepers" => ("gap_m", [1e-5, 0.1]),
+        "ballast-stiffening" => ("doubling_m", [1e-5, 10.0]),
+        _ => return Ok(None),
+    };
+    if purpose == Purpose::Kernel {
+        return Err(
+            effect.refused("the node's kernel is linear; tamp, record again, and make the kernel then")
+        );
+    }
+    let main = effect.value(main, range)?;
+    let Some(known) = common(&effect.name) else { return Ok(None) };
+    // What else the effect has is of no interest by itself and not stated.
+    let of = |(k, p): (usize, &super::effect::Parameter)| if k == 0 { p.coordinate(main) } else { p.prior.0 };
+    Ok(Some((known, known.parameters().iter().enumerate().map(of).collect())))
 }
 
 /// A factor on a stiffness, mass or load.
@@ -155,9 +208,6 @@ fn include(site: &mut Site, effect: &Included) -> Result<(), CorrectionError> {
         "saturation" => leave_out_clipped(site, effect.value("range_m_s2", [1.0, 1e4])?),
         // The identification estimates every wheel's force and both rails' profiles anyway.
         "front-rear" | "wheel-out-of-roundness" | "wheel-flat" | "hollow-wheels" | "stock-irregularity" => {}
-        "voided-sleepers" | "ballast-stiffening" => {
-            return Err(effect.refused("its ballast is linear; tamp, record again, and analyse then"));
-        }
         "support-loss" => {
             let sides =
                 [effect.value("factor_negative_x", FACTOR)?, effect.value("factor_positive_x", FACTOR)?];
@@ -240,6 +290,7 @@ fn leave_out_clipped(site: &mut Site, range_m_s2: f64) {
 mod tests {
     use super::*;
     use crate::ballast::BallastParameters;
+    use crate::progress::Silent;
     use crate::recording::read_site;
     use crate::track::{Mesh, Track};
 
@@ -248,6 +299,10 @@ mod tests {
         let mut site = read_site(&dir).unwrap();
         site.passages.truncate(1);
         site
+    }
+
+    fn corrected(site: &Site, effects: &[Included]) -> Result<Site, CorrectionError> {
+        super::corrected(site, effects, Purpose::Analysis, &Silent)
     }
 
     fn effect(name: &str, parameters: &[(&str, f64)]) -> Included {
@@ -323,8 +378,13 @@ mod tests {
 
     #[test]
     fn property_what_does_not_fit_is_refused_with_its_name() {
-        let error = corrected(&site(), &[effect("voided-sleepers", &[("gap_m", 1e-3)])]).unwrap_err();
+        let voids = [effect("voided-sleepers", &[("gap_m", 1e-3)])];
+        let error = super::corrected(&site(), &voids, Purpose::Kernel, &Silent).unwrap_err();
         assert!(error.to_string().contains("voided-sleepers"), "{error}");
+        let error = corrected(&site(), &[effect("load-transfer", &[("fraction", 0.06)])]).unwrap_err();
+        assert!(error.to_string().contains("load-transfer"), "{error}");
+        let error = corrected(&site(), &[effect("voided-sleepers", &[])]).unwrap_err();
+        assert!(matches!(error, CorrectionError::Parameter { value, .. } if value.is_nan()), "{error}");
         let error = corrected(&site(), &[effect("pad-stiffness", &[("factor", -1.0)])]).unwrap_err();
         assert!(matches!(error, CorrectionError::Parameter { value, .. } if value == -1.0), "{error}");
     }

@@ -13,7 +13,7 @@ mod trust;
 use std::time::Instant;
 
 use super::GapError;
-use super::base::{Base, PathPrior, base, nominal_world};
+use super::base::{Base, Given, PathPrior, base, nominal_world};
 use super::effect::{Effect, Hints, Stage};
 use super::effects::{COMMON, LATENT, advice};
 use super::estimated_path::{ESTIMATED_PATH_PRIOR, with_estimated_path};
@@ -176,13 +176,35 @@ const LEAST_GAIN: f64 = 20.0;
 /// Standard deviation of the path around the scan and of the stock rail, metres: as the reference recordings have it.
 pub const PATH_PRIOR: PathPrior = PathPrior { inside_m: 10e-6, outside_m: 20e-6, stock_m: 15e-6 };
 /// Passages used for the search; all training passages for the final fit.
-const SEARCH_PASSAGES: usize = 12;
+pub(super) const SEARCH_PASSAGES: usize = 12;
 
 /// Squared misfit per value of the model that clips too, above which no further effect is looked for.
 const CLIPPED_MISFIT: f64 = 1.5;
 
 /// Diagnoses a site.
 pub fn diagnose(
+    site: &Site,
+    options: &DiagnoseOptions,
+    progress: &dyn Progress,
+) -> Result<Diagnosis, GapError> {
+    match diagnose_trains(site, options, progress) {
+        Err(GapError::SilentPassages { passage_id }) => {
+            let mut out = diagnose_trains(&without(site, &passage_id), options, progress)?;
+            out.remarks.insert(0, silent(&passage_id));
+            out.skipped += passage_id.len();
+            Ok(out)
+        }
+        found => found,
+    }
+}
+
+fn silent(passage_id: &[i32]) -> String {
+    let ids: Vec<String> = passage_id.iter().map(i32::to_string).collect();
+    format!("no train was found in passages {}; they are left out", ids.join(", "))
+}
+
+/// The same of recordings that have a train in each.
+fn diagnose_trains(
     site: &Site,
     options: &DiagnoseOptions,
     progress: &dyn Progress,
@@ -203,7 +225,7 @@ pub fn diagnose(
         None => (site, PATH_PRIOR),
     };
     progress.begin("base model", 1);
-    let mut base = base(panel, &split.train, &search, &path_prior, SensorModel::default())?;
+    let mut base = base(panel, &split.train, &search, &path_prior, &Given::default())?;
     progress.step();
     let before = base.fit.state.world(&base.frame, &[]);
     let flat_top_m_s2 = flat_top_m_s2(site);
@@ -214,7 +236,7 @@ pub fn diagnose(
     // Nothing else can be learnt before what is known of the recorder is in the model.
     let sensor = recorder.sensor();
     if sensor != SensorModel::default() {
-        base = super::base::base(panel, &split.train, &search, &path_prior, sensor)?;
+        base = super::base::base(panel, &split.train, &search, &path_prior, &Given::recorder(sensor))?;
     }
     let mut session = Session::new(site, options, &split, &search, &mut base);
     session.clips_at_m_s2 = flat_top_m_s2.map(|(range, _)| range);
@@ -278,13 +300,13 @@ pub fn diagnose(
 }
 
 /// The same site without some of its passages.
-fn without(site: &Site, passage_id: &[i32]) -> Site {
+pub(super) fn without(site: &Site, passage_id: &[i32]) -> Site {
     let left = site.passages.iter().filter(|p| !passage_id.contains(&p.passage_id));
     site.with_passages(left.cloned().collect())
 }
 
 /// Evenly spread part of a list.
-fn thinned(list: &[usize], most: usize) -> Vec<usize> {
+pub(super) fn thinned(list: &[usize], most: usize) -> Vec<usize> {
     if list.len() <= most {
         return list.to_vec();
     }

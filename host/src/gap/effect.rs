@@ -69,6 +69,16 @@ impl Parameter {
             Scale::Inverse => self.unit_size / coordinate.max(1e-9),
         }
     }
+
+    /// Coordinate of a value, within the range.
+    pub fn coordinate(&self, value: f64) -> f64 {
+        let coordinate = match self.scale {
+            Scale::Linear => value / self.unit_size,
+            Scale::Log => (value / self.unit_size).ln(),
+            Scale::Inverse => self.unit_size / value,
+        };
+        coordinate.clamp(self.range[0], self.range[1])
+    }
 }
 
 /// What an effect acts on.

@@ -54,8 +54,13 @@ pub static LATENT: [&dyn Latent; 5] = [
 
 /// What an effect of the catalogue means, and what to do about it.
 pub fn advice(name: &str) -> Option<Advice> {
-    let common = || COMMON.iter().find(|e| e.name() == name).map(|e| e.advice());
-    LATENT.iter().find(|e| e.name() == name).map(|e| e.advice()).or_else(common)
+    let of_common = || common(name).map(|e| e.advice());
+    LATENT.iter().find(|e| e.name() == name).map(|e| e.advice()).or_else(of_common)
+}
+
+/// An effect that all wheels and passages share, by its name in the contract.
+pub fn common(name: &str) -> Option<&'static dyn Effect> {
+    COMMON.into_iter().find(|e| e.name() == name)
 }
 
 #[cfg(test)]

@@ -9,8 +9,8 @@ use crate::passage::contact::ContactLaw;
 use crate::passage::surface::GRID_M;
 use crate::passage::{
     Bogie, Journey, PassageRecord, Profile, RunningSurface, SLEEPER_MODES, SimulationError, Start, Stepper,
-    Support, SupportLaw, TimeStep, TrackModel, Train, Underway, VehicleUnit, Wheel, WheelFlat, halt, resume,
-    run,
+    Support, SupportLaw, TimeStep, TrackModel, Train, Underway, VehicleUnit, Wheel, WheelFlat, driven, halt,
+    resume, run,
 };
 use crate::signal::{AntiAlias, irfft, rfft, rfft_frequencies_hz, taper};
 use crate::track::{Mesh, Side, Track};
@@ -147,6 +147,16 @@ impl Simulator {
     pub fn response(&self, speed_m_s: f64) -> Result<Response, SimulationError> {
         let journey = self.journey(speed_m_s);
         let record = run(&self.stepper, &self.train, (&self.surface, self.law), &journey, [0.0, 0.0])?;
+        Ok(self.shown(&journey, &record))
+    }
+
+    /// What the sensor shows beyond what it would show on the track of `other` under the same wheel forces.
+    pub fn beyond(&self, other: &Self, speed_m_s: f64) -> Result<Response, SimulationError> {
+        let journey = self.journey(speed_m_s);
+        let everywhere_m = self.stepper.model.extent_m();
+        let mut record = run(&self.stepper, &self.train, (&self.surface, self.law), &journey, everywhere_m)?;
+        let there_m = driven(&other.stepper, &self.train, &journey, &record.contacts)?;
+        record.sensor_m.iter_mut().zip(&there_m).for_each(|(here, there)| *here -= there);
         Ok(self.shown(&journey, &record))
     }
 

@@ -260,7 +260,7 @@ fn bumps(
 mod tests {
     use std::path::Path;
 
-    use super::super::base::{base, nominal_world};
+    use super::super::base::{Given, base, nominal_world};
     use super::super::diagnosis::PATH_PRIOR;
     use super::*;
     use crate::ballast::BallastParameters;
@@ -272,7 +272,7 @@ mod tests {
         let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/data/field");
         let mut site = read_site(&root.join("reference-1")).unwrap();
         site.passages.truncate(1);
-        let base = base(&site, &[0], &[0], &PATH_PRIOR, SensorModel::default()).unwrap();
+        let base = base(&site, &[0], &[0], &PATH_PRIOR, &Given::default()).unwrap();
         let firm = nominal_world(&site, BallastParameters::NOMINAL).unwrap();
         let mut loose = firm.clone();
         loose.sensor.mount = Some((240.0, 0.15));

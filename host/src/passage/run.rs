@@ -1,5 +1,9 @@
 //! Time loop of one passage.
 
+mod driven;
+
+pub use driven::driven;
+
 use pulp::Simd;
 
 use super::contact::{ContactLaw, Contacts};
@@ -24,6 +28,17 @@ pub struct Journey {
     pub duration_s: f64,
     /// Initial state.
     pub start: Start,
+}
+
+impl Journey {
+    /// Distance run by the first axle at a time, m.
+    fn travelled_m(&self, time_s: f64) -> f64 {
+        self.first_m + (self.speed_m_s + 0.5 * self.acceleration_m_s2 * time_s) * time_s
+    }
+
+    fn steps(&self, dt_s: f64) -> usize {
+        (self.duration_s / dt_s).round() as usize
+    }
 }
 
 /// State at t = 0.
@@ -115,6 +130,12 @@ struct Contact {
     free_m: f64,
     /// Decrease of the approach per newton through the rail, m/N.
     rail_m_n: f64,
+}
+
+/// Share of the track in carrying a wheel: rises from its ends inwards.
+#[inline(always)]
+fn share([first_m, last_m]: [f64; 2], x_m: f64) -> f64 {
+    smooth_step((x_m - first_m).min(last_m - x_m) / LEAD_IN_M)
 }
 
 /// Below this deflection the track has come to rest, m.
@@ -237,7 +258,7 @@ impl<'a> Passage<'a> {
         while on.step < end {
             let step = on.step;
             let time = (step as f64 - early as f64) * dt;
-            let travelled = self.travelled_m(time + theta * dt);
+            let travelled = self.journey.travelled_m(time + theta * dt);
             if travelled >= until_m {
                 break;
             }
@@ -277,12 +298,7 @@ impl<'a> Passage<'a> {
 
     /// Of the record.
     fn steps(&self) -> usize {
-        (self.journey.duration_s / self.stepper.step.dt_s).round() as usize
-    }
-
-    fn travelled_m(&self, time_s: f64) -> f64 {
-        let j = self.journey;
-        j.first_m + (j.speed_m_s + 0.5 * j.acceleration_m_s2 * time_s) * time_s
+        self.journey.steps(self.stepper.step.dt_s)
     }
 
     /// Steps needed before t = 0 when the first axle is already on the track by then.
@@ -374,11 +390,9 @@ impl<'a> Passage<'a> {
         Contact { point, x_m, share, free_m, rail_m_n }
     }
 
-    /// Share of the track in carrying a wheel: rises from its ends inwards.
     #[inline(always)]
     fn share(&self, x_m: f64) -> f64 {
-        let [first, last] = self.stepper.model.extent_m();
-        smooth_step((x_m - first).min(last - x_m) / LEAD_IN_M)
+        share(self.stepper.model.extent_m(), x_m)
     }
 
     /// Depth of everything the wheel rolls over, m.

@@ -5,7 +5,7 @@
 
 use super::Session;
 use crate::gap::GapError;
-use crate::gap::base::{PathPrior, base};
+use crate::gap::base::{Given, PathPrior, base};
 use crate::gap::data::{Observed, RATE_HZ};
 use crate::recording::{Passage, Site};
 use crate::signal::between;
@@ -19,7 +19,13 @@ impl Session<'_> {
     /// Reads the recordings and fits the base model again, without the steps found, which are to be looked for again.
     pub(super) fn start_afresh(&mut self, site: &Site, path_prior: &PathPrior) -> Result<(), GapError> {
         let sensor = self.base.frame.base.sensor;
-        let mut fresh = base(&self.without_steps(site), &self.split.train, self.search, path_prior, sensor)?;
+        let mut fresh = base(
+            &self.without_steps(site),
+            &self.split.train,
+            self.search,
+            path_prior,
+            &Given::recorder(sensor),
+        )?;
         let before = &self.base.frame.observed;
         if fresh.frame.observed.len() != before.len() {
             return Ok(());

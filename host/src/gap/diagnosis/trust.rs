@@ -2,7 +2,7 @@
 
 use super::{PATH_PRIOR, Session};
 use crate::gap::GapError;
-use crate::gap::base::{Base, LEAST_SPEED_M_S, base};
+use crate::gap::base::{Base, Given, LEAST_SPEED_M_S, base};
 use crate::gap::consistency::Strangers;
 use crate::gap::data::{Observed, energies};
 use crate::gap::fit::simulate;
@@ -231,7 +231,9 @@ impl Session<'_> {
         let mut bare = site.clone();
         bare.scan = None;
         let sensor = self.base.frame.base.sensor;
-        let Ok(free) = base(&bare, self.search, self.search, &PATH_PRIOR, sensor) else { return false };
+        let Ok(free) = base(&bare, self.search, self.search, &PATH_PRIOR, &Given::recorder(sensor)) else {
+            return false;
+        };
         let world = free.fit.state.world(&free.frame, &[]);
         let (mut off, mut own) = (0.0, 0.0);
         for k in -40..=40 {

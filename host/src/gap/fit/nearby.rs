@@ -115,9 +115,8 @@ mod tests {
 
     use super::super::simulate;
     use super::*;
-    use crate::gap::base::base;
+    use crate::gap::base::{Given, base};
     use crate::gap::diagnosis::PATH_PRIOR;
-    use crate::gap::world::SensorModel;
     use crate::recording::read_site;
 
     /// Part of a difference that interpolation over the speeds of a site may lose, RMS in the band: Gauss-Newton steps then miss their
@@ -128,7 +127,7 @@ mod tests {
     fn property_differences_are_those_simulated_at_every_speed() {
         let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/data/field/reference-1");
         let site = read_site(&root).unwrap();
-        let base = base(&site, &[0], &[0], &PATH_PRIOR, SensorModel::default()).unwrap();
+        let base = base(&site, &[0], &[0], &PATH_PRIOR, &Given::default()).unwrap();
         let (frame, world) = (&base.frame, &base.frame.base);
         let all: Vec<usize> = (0..frame.observed.len()).collect();
         let nearby = Nearby::of(frame, &all, Detail::Full);

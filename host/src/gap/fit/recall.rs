@@ -118,9 +118,8 @@ impl Recall {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::gap::base::base;
+    use crate::gap::base::{Given, base};
     use crate::gap::diagnosis::PATH_PRIOR;
-    use crate::gap::world::SensorModel;
     use crate::recording::read_site;
 
     /// Three passages.
@@ -128,7 +127,7 @@ mod tests {
         let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/data/field/reference-1");
         let mut site = read_site(&root).unwrap();
         site.passages.truncate(3);
-        base(&site, &[0], &[0], &PATH_PRIOR, SensorModel::default()).unwrap().frame
+        base(&site, &[0], &[0], &PATH_PRIOR, &Given::default()).unwrap().frame
     }
 
     #[test]

@@ -278,3 +278,30 @@ fn property_impossible_input_is_refused_with_the_value() {
     let start = run(&voided, &wheelset(), (&level, LINEAR), &journey(50.0, 0.1), [0.0, 1.0]).unwrap_err();
     assert_eq!(start, SimulationError::StaticStart { sleeper: 0 });
 }
+
+/// The same forces at the same places move the same track the same way; those of another journey are refused.
+#[test]
+fn property_a_track_under_the_forces_of_a_passage_moves_as_in_it() {
+    let step = TimeStep { dt_s: 2e-4, theta: 0.5 };
+    let stepper = t1((PADS[2].1, PADS[2].2), 0.3, step, bed());
+    let train = wheelset();
+    let surface = cosine_dip(1e-3, 0.5);
+    let [first_m, last_m] = stepper.model.extent_m();
+    let whole = |speed_m_s: f64| Journey {
+        first_m,
+        duration_s: (last_m - first_m) / speed_m_s,
+        start: Start::Quiet,
+        ..journey(speed_m_s, 1.0)
+    };
+    let record = run(&stepper, &train, (&surface, LINEAR), &whole(40.0), [first_m, last_m]).unwrap();
+    let again = driven(&stepper, &train, &whole(40.0), &record.contacts).unwrap();
+    let size = largest(&record.sensor_m);
+    assert_eq!(again.len(), record.sensor_m.len());
+    for (a, b) in record.sensor_m.iter().zip(&again) {
+        assert!((a - b).abs() < 1e-9 * size, "{a:e} {b:e} of {size:e}");
+    }
+    let other = driven(&stepper, &train, &whole(41.0), &record.contacts);
+    assert!(matches!(other, Err(SimulationError::OutOfRange { unit: "m", .. })));
+    let fewer: Vec<ContactTrace> = vec![ContactTrace::default(); 2];
+    assert!(driven(&stepper, &train, &whole(40.0), &fewer).is_err());
+}

@@ -1,0 +1,85 @@
+//! `analyse --with-effects` over beds that are not linear, on sites simulated with another mesh, step and damping than the diagnosis
+//! has.
+//!
+//! `cargo test --release -p cpcm-tests --test with_effects -- --nocapture` prints the numbers.
+
+mod tolerance;
+
+use std::path::Path;
+
+use cpcm::gap::corrected::{Included, Purpose, corrected};
+use cpcm::pipeline::{AnalyseOptions, analyse};
+use cpcm::progress::Silent;
+use cpcm::recording::{Site, read_site};
+use cpcm::scenario::effects::{BallastStiffening, VoidedSleepers};
+use cpcm::scenario::{Effects, SimulatedSite, read_scenario, simulate};
+use cpcm::scoring::{Score, score};
+use cpcm_tests::sample::field;
+
+/// The example's site with a bed of its own, in numerics of its own.
+fn simulated(effects: Effects) -> SimulatedSite {
+    let example = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/examples/site.toml");
+    let mut scenario = read_scenario(&example).unwrap();
+    let simulation = &mut scenario.simulation;
+    simulation.passages = 8;
+    simulation.solver.dt_s = 0.8e-4;
+    simulation.solver.theta = 0.52;
+    simulation.solver.rail_step_m = 0.2;
+    simulation.solver.sleeper_step_m = 0.2;
+    simulation.effects = effects;
+    simulate(&scenario, &Silent).unwrap()
+}
+
+fn including(site: &Site, name: &str, parameter: &str, value: f64) -> Site {
+    let included = Included { name: name.into(), parameters: vec![(parameter.into(), value)] };
+    corrected(site, &[included], Purpose::Analysis, &Silent).unwrap()
+}
+
+fn scored(what: &str, site: &Site, of: &SimulatedSite) -> Score {
+    let analysis = analyse(site, &AnalyseOptions::default(), &Silent).unwrap();
+    let scored = score(&analysis, &of.truth);
+    let (peak, p90) = (Score::median(&scored.peak), Score::p90(&scored.peak));
+    let [p1, p2] = [analysis.ballast.p1_n_m2.value, analysis.ballast.p2_n_m2.value].map(|p| 1e-6 * p);
+    let waveform = Score::median(&scored.waveform);
+    println!(
+        "{what}: peaks {peak:.4}, 90 % {p90:.4}, waveform {waveform:.4}; p1 {p1:.1}, p2 {p2:.1} MN/m2; truth 30, 18"
+    );
+    scored
+}
+
+/// A diagnosis has the gap within some 20 to 40 %.
+#[test]
+fn reference_forces_over_a_void() {
+    let gap_m = 0.8e-3;
+    let sleepers = vec![(-1, 0.6), (0, 1.0), (1, 0.6)];
+    let of = simulated(Effects {
+        voided_sleepers: Some(VoidedSleepers { gap_m, sleepers }),
+        ..Effects::default()
+    });
+    let without = scored("without the void", &of.site, &of);
+    let with = scored("with it", &including(&of.site, "voided-sleepers", "gap_m", 1.25 * gap_m), &of);
+    assert!(Score::median(&with.peak) < tolerance::VOID_PEAK_MEDIAN);
+    assert!(Score::median(&with.waveform) < tolerance::BED_PART * Score::median(&without.waveform));
+}
+
+#[test]
+fn reference_forces_over_ballast_that_stiffens() {
+    let stiffening = BallastStiffening { doubling_m: 0.4e-3, bilinear_factor: None };
+    let of = simulated(Effects { ballast_stiffening: Some(stiffening), ..Effects::default() });
+    let without = scored("without stiffening", &of.site, &of);
+    let with = scored("with it", &including(&of.site, "ballast-stiffening", "doubling_m", 0.5e-3), &of);
+    assert!(Score::median(&with.peak) < tolerance::BED_PART * Score::median(&without.peak));
+    assert!(Score::median(&with.waveform) < tolerance::BED_PART * Score::median(&without.waveform));
+}
+
+/// Passages without a train stay, and are told as they are.
+#[test]
+fn property_a_silent_passage_stays_as_it_is() {
+    let mut site = read_site(&field("known-voided-sleepers")).unwrap();
+    site.passages.truncate(4);
+    site.passages[1].acceleration_m_s2.fill(0.0);
+    let out = including(&site, "voided-sleepers", "gap_m", 0.8e-3);
+    for (k, (before, after)) in site.passages.iter().zip(&out.passages).enumerate() {
+        assert_eq!(before.acceleration_m_s2 == after.acceleration_m_s2, k == 1, "passage {k}");
+    }
+}

@@ -241,7 +241,7 @@ mod tests {
             assert_eq!(numerator(rate_hz / WINDOW_STEP_HZ), unit, "{rate_hz} Hz");
         }
         for rate_hz in [f64::NAN, 0.0, -1.0, f64::INFINITY, 1e-300] {
-            assert!((2..=2_000_000).contains(&padded_len(1000, rate_hz)), "{rate_hz} Hz");
+            assert!(padded_len(1000, rate_hz) <= LEAST_UNITS * 1_000_000, "{rate_hz} Hz");
         }
     }
 }

@@ -49,7 +49,7 @@ fn scored(what: &str, site: &Site, of: &SimulatedSite) -> Score {
 
 /// A diagnosis has the gap within some 20 to 40 %.
 #[test]
-fn reference_forces_over_a_void() {
+fn property_forces_over_a_void_are_nearer_with_it() {
     let gap_m = 0.8e-3;
     let sleepers = vec![(-1, 0.6), (0, 1.0), (1, 0.6)];
     let of = simulated(Effects {
@@ -63,7 +63,7 @@ fn reference_forces_over_a_void() {
 }
 
 #[test]
-fn reference_forces_over_ballast_that_stiffens() {
+fn property_forces_over_ballast_that_stiffens_are_nearer_with_it() {
     let stiffening = BallastStiffening { doubling_m: 0.4e-3, bilinear_factor: None };
     let of = simulated(Effects { ballast_stiffening: Some(stiffening), ..Effects::default() });
     let without = scored("without stiffening", &of.site, &of);

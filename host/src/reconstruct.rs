@@ -164,7 +164,8 @@ fn numerator(ratio: f64) -> usize {
         rest = inverse - digit;
         (last, now) = (now, (digit * now.0 + last.0, digit * now.1 + last.1));
     }
-    (now.0.clamp(1.0, 1e6) as usize).max(1)
+    // Rates that recorders have are far below: a convergent that near has a small denominator.
+    (now.0.clamp(1.0, 2.5e5) as usize).max(1)
 }
 
 /// Speed and axle times of one passage.
@@ -216,7 +217,7 @@ mod tests {
             [801.5, 1000.0, 1652.9, 2000.0, 2048.0, 3999.7, 4000.0, 5000.0, 10e3, 12.8e3, 44.1e3, 51.2e3]
         {
             let recording = recorded(rate_hz);
-            for window_hz in [200.0, 375.0, 800.0, 1000.0] {
+            for window_hz in [200.0, 375.0, 400.0, 800.0, 1000.0] {
                 let n = window_hz as usize;
                 let window = recording.window(
                     0.3012,
@@ -241,7 +242,7 @@ mod tests {
             assert_eq!(numerator(rate_hz / WINDOW_STEP_HZ), unit, "{rate_hz} Hz");
         }
         for rate_hz in [f64::NAN, 0.0, -1.0, f64::INFINITY, 1e-300] {
-            assert!(padded_len(1000, rate_hz) <= LEAST_UNITS * 1_000_000, "{rate_hz} Hz");
+            assert!((2..=2_000_000).contains(&padded_len(1000, rate_hz)), "{rate_hz} Hz");
         }
     }
 }

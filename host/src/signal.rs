@@ -5,7 +5,7 @@ mod filter;
 mod spline;
 
 pub use bessel::AntiAlias;
-pub use filter::{brick_band, taper};
+pub use filter::{brick_band, filtered, taper};
 pub use spline::CubicSpline;
 
 use std::cell::RefCell;

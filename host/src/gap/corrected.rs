@@ -18,7 +18,7 @@ use super::world::REFERENCE_C;
 use crate::progress::Progress;
 use crate::recording::files::read_bytes;
 use crate::recording::{Passage, RecordingError, Site};
-use crate::signal::{irfft, resample, rfft, rfft_frequencies_hz};
+use crate::signal::{filtered, resample};
 
 /// Why a site cannot be corrected.
 #[derive(Debug, thiserror::Error)]
@@ -81,7 +81,11 @@ impl Included {
 
     /// Whether the recordings have to be made those of a linear bed.
     pub fn bends_the_bed(&self) -> bool {
-        matches!(self.name.as_str(), "voided-sleepers" | "ballast-stiffening")
+        self.bend().is_some()
+    }
+
+    fn bend(&self) -> Option<&'static Bend> {
+        BENDS.iter().find(|bend| bend.effect == self.name)
     }
 
     fn refused(&self, why: &'static str) -> CorrectionError {
@@ -137,22 +141,30 @@ pub fn corrected(
     if departures.is_empty() { Ok(out) } else { Ok(on_linear_bed(&out, &departures, progress)?) }
 }
 
+/// An effect by which the bed is not linear, with its main parameter and what that may be.
+struct Bend {
+    effect: &'static str,
+    parameter: &'static str,
+    range: [f64; 2],
+}
+
+const BENDS: [Bend; 2] = [
+    Bend { effect: "voided-sleepers", parameter: "gap_m", range: [1e-5, 0.1] },
+    Bend { effect: "ballast-stiffening", parameter: "doubling_m", range: [1e-5, 10.0] },
+];
+
 /// An effect by which the bed is not linear, and where its fit begins.
 fn departure(
     effect: &Included,
     purpose: Purpose,
 ) -> Result<Option<(&'static dyn Effect, Vec<f64>)>, CorrectionError> {
-    let (main, range) = match effect.name.as_str() {
-        "voided-sleepers" => ("gap_m", [1e-5, 0.1]),
-        "ballast-stiffening" => ("doubling_m", [1e-5, 10.0]),
-        _ => return Ok(None),
-    };
+    let Some(Bend { parameter, range, .. }) = effect.bend() else { return Ok(None) };
     if purpose == Purpose::Kernel {
         return Err(
             effect.refused("the node's kernel is linear; tamp, record again, and make the kernel then")
         );
     }
-    let main = effect.value(main, range)?;
+    let main = effect.value(parameter, *range)?;
     let Some(known) = common(&effect.name) else { return Ok(None) };
     // What else the effect has is of no interest by itself and not stated.
     let of = |(k, p): (usize, &super::effect::Parameter)| if k == 0 { p.coordinate(main) } else { p.prior.0 };
@@ -233,19 +245,14 @@ fn to_true_time(passage: &mut Passage, relative: f64) {
 
 /// Takes the amplification by the mounting back; its inverse is bounded, so nothing blows up.
 fn without_mount(passage: &mut Passage, frequency_hz: f64, damping: f64) {
-    let n = passage.acceleration_m_s2.len();
-    let padded = (n + n / 4).next_multiple_of(2);
-    let mut samples: Vec<f64> = passage.acceleration_m_s2.iter().map(|a| f64::from(*a)).collect();
-    samples.resize(padded, 0.0);
-    let mut spectrum = rfft(&samples);
-    for (value, f) in spectrum.iter_mut().zip(rfft_frequencies_hz(padded, passage.sample_rate_hz)) {
+    let samples: Vec<f64> = passage.acceleration_m_s2.iter().map(|a| f64::from(*a)).collect();
+    let restored = filtered(&samples, passage.sample_rate_hz, |f| {
         // Far above the resonance the mounting isolates; what is there is left as it is.
         let s = (f / frequency_hz).min(3.0);
         let damped = faer::c64::new(0.0, 2.0 * damping * s);
-        *value *= (damped + (1.0 - s * s)) / (damped + 1.0);
-    }
-    let restored = irfft(&spectrum, padded);
-    passage.acceleration_m_s2 = restored[..n].iter().map(|a| *a as f32).collect();
+        (damped + (1.0 - s * s)) / (damped + 1.0)
+    });
+    passage.acceleration_m_s2 = restored.iter().map(|a| *a as f32).collect();
 }
 
 /// Takes the sinusoid off that fits the train-free ends best.

@@ -10,13 +10,14 @@ mod review;
 mod search;
 mod trust;
 
+use std::borrow::Cow;
 use std::time::Instant;
 
 use super::GapError;
 use super::base::{Base, Given, PathPrior, base, nominal_world};
 use super::effect::{Effect, Hints, Stage};
 use super::effects::{COMMON, LATENT, advice};
-use super::estimated_path::{ESTIMATED_PATH_PRIOR, with_estimated_path};
+use super::estimated_path::with_path;
 use super::fit::{Fit, State};
 use super::hammer::Hammer;
 use super::ladder::Rung;
@@ -216,14 +217,8 @@ fn diagnose_trains(
     }
     let split = split(site);
     let search = thinned(&split.train, SEARCH_PASSAGES);
-    let estimated = match site.scan {
-        Some(_) => None,
-        None => with_estimated_path(site, &split.train, progress),
-    };
-    let (panel, path_prior) = match &estimated {
-        Some(estimated) => (estimated, ESTIMATED_PATH_PRIOR),
-        None => (site, PATH_PRIOR),
-    };
+    let (panel, path_prior) = with_path(site, &split.train, progress);
+    let (panel, estimated) = (panel.as_ref(), matches!(panel, Cow::Owned(_)));
     progress.begin("base model", 1);
     let mut base = base(panel, &split.train, &search, &path_prior, &Given::default())?;
     progress.step();
@@ -241,7 +236,7 @@ fn diagnose_trains(
     let mut session = Session::new(site, options, &split, &search, &mut base);
     session.clips_at_m_s2 = flat_top_m_s2.map(|(range, _)| range);
     session.take(&recorder);
-    if estimated.is_some() {
+    if estimated {
         session.leave_out_what_passes_for_a_path();
     }
     let mut searched = !options.quick;

@@ -10,16 +10,16 @@ use rayon::prelude::*;
 
 use super::GapError;
 use super::base::{Base, Given, base, nominal_world};
-use super::diagnosis::{PATH_PRIOR, SEARCH_PASSAGES, thinned, without};
+use super::diagnosis::{SEARCH_PASSAGES, thinned, without};
 use super::effect::Effect;
-use super::estimated_path::{ESTIMATED_PATH_PRIOR, with_estimated_path};
+use super::estimated_path::with_path;
 use super::fit::{State, replaced, settled};
 use super::forward::{Detail, Simulator};
 use super::world::{Bed, World};
 use crate::ballast::BallastParameters;
 use crate::progress::Progress;
 use crate::recording::{Passage, Site};
-use crate::signal::{AntiAlias, irfft, rfft, rfft_frequencies_hz};
+use crate::signal::filtered;
 
 /// Effects by which a bed is not linear, with the coordinates of their parameters at which a fit begins.
 pub type Departures<'e> = [(&'e dyn Effect, Vec<f64>)];
@@ -51,17 +51,10 @@ fn added_by(
 ) -> Result<Vec<(i32, Vec<f64>)>, GapError> {
     let all: Vec<usize> = (0..site.passages.len()).collect();
     let searched = thinned(&all, SEARCH_PASSAGES);
-    let estimated = match site.scan {
-        Some(_) => None,
-        None => with_estimated_path(site, &all, progress),
-    };
-    let (panel, prior) = match &estimated {
-        Some(estimated) => (estimated, ESTIMATED_PATH_PRIOR),
-        None => (site, PATH_PRIOR),
-    };
+    let (panel, prior) = with_path(site, &all, progress);
     progress.begin("model of the bed that is not linear", 1);
-    let given = Given { bed: bed_with(panel, departures)?, ..Given::default() };
-    let base = base(panel, &searched, &searched, &prior, &given)?;
+    let given = Given { bed: bed_with(&panel, departures)?, ..Given::default() };
+    let base = base(&panel, &searched, &searched, &prior, &given)?;
     let (world, shift_m) = fitted(&base, departures, &searched)?;
     progress.step();
     progress.begin("recordings as on a linear bed", base.frame.observed.len() as u64);
@@ -79,7 +72,8 @@ fn added_by(
             let bogies_s: Vec<f64> = o.bogie_s().iter().map(|s| first_s + s).collect();
             let mut added = vec![0.0; o.recording.len];
             beyond.add_train(&bogies_s, 1.0, 0.0, 1.0 / o.recording.rate_hz, &mut added);
-            Ok((o.passage_id, as_recorded(&added, o.recording.rate_hz, simulator.antialias())))
+            // The recorder's low-pass is undone in the model's accelerations.
+            Ok((o.passage_id, filtered(&added, o.recording.rate_hz, |f| simulator.antialias().response(f))))
         })
         .collect()
 }
@@ -104,21 +98,6 @@ fn fitted(base: &Base, departures: &Departures, searched: &[usize]) -> Result<(W
     let world = found.state.world(frame, &effects);
     let others: Vec<usize> = (0..frame.observed.len()).filter(|i| !searched.contains(i)).collect();
     Ok((world, replaced(frame, &effects, found.state, (&others, Detail::Full)).shift_m))
-}
-
-/// Through the recorder's low-pass, which the model's accelerations have not passed.
-fn as_recorded(acceleration_m_s2: &[f64], rate_hz: f64, antialias: &AntiAlias) -> Vec<f64> {
-    let n = acceleration_m_s2.len();
-    let padded = (n + n / 4).next_multiple_of(2);
-    let mut samples = acceleration_m_s2.to_vec();
-    samples.resize(padded, 0.0);
-    let mut spectrum = rfft(&samples);
-    for (value, f) in spectrum.iter_mut().zip(rfft_frequencies_hz(padded, rate_hz)) {
-        *value *= antialias.response(f);
-    }
-    let mut out = irfft(&spectrum, padded);
-    out.truncate(n);
-    out
 }
 
 fn take_off(passage: &mut Passage, added_m_s2: &[f64]) {

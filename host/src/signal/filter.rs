@@ -14,6 +14,21 @@ pub fn brick_band(signal: &[f64], rate_hz: f64, low_hz: f64, high_hz: f64) -> Ve
     irfft(&spectrum, signal.len())
 }
 
+/// Signal after a gain per frequency, Hz, with a quarter of its length of zeros behind it for what rings on.
+pub fn filtered(signal: &[f64], rate_hz: f64, gain: impl Fn(f64) -> faer::c64) -> Vec<f64> {
+    let n = signal.len();
+    let padded = (n + n / 4).next_multiple_of(2);
+    let mut samples = signal.to_vec();
+    samples.resize(padded, 0.0);
+    let mut spectrum = rfft(&samples);
+    for (value, f) in spectrum.iter_mut().zip(rfft_frequencies_hz(padded, rate_hz)) {
+        *value *= gain(f);
+    }
+    let mut out = irfft(&spectrum, padded);
+    out.truncate(n);
+    out
+}
+
 /// Raised-cosine low-pass gain: 1 below `pass_hz`, 0 above `stop_hz`.
 pub fn taper(f_hz: f64, pass_hz: f64, stop_hz: f64) -> f64 {
     if f_hz <= pass_hz {

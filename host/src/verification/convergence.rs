@@ -225,12 +225,13 @@ fn on_centimetres(track: &Track, f: &[f64], spline: bool) -> Vec<Vec<c64>> {
     let nodal = track.sensor_receptance(f, &reference::ballast(track));
     let none = vec![[c64::new(0.0, 0.0); 2]; track.node_x_m.len()];
     let grid: Vec<f64> = (0..=2160).map(|i| track.node_x_m[0] + 0.01 * i as f64).collect();
+    let by_shape_functions = track.rail_grid(0.01);
     nodal
         .crossing
         .iter()
         .map(|row| {
             if !spline {
-                return track.rail_grid(0.01).both_rails(row, &none);
+                return by_shape_functions.both_rails(row, &none);
             }
             let part = |value: fn(&[c64; 2]) -> f64| -> Vec<f64> {
                 let y: Vec<f64> = row.iter().map(value).collect();

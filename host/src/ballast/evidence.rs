@@ -45,9 +45,20 @@ const PROFILE_STEP_M: (f64, f64) = (0.1, 0.2);
 pub const DIFFERENCE: [f64; 3] = [0.02, 0.02, 0.02];
 /// Largest change of (ln p1, ln p2, p3) in one linearisation.
 const TRUST: [f64; 3] = [0.3, 0.4, 0.2];
-/// Converged when no parameter moves by more than this: Gauss-Newton, so that the next step is about a tenth of the last one, far
-/// below the parameters' spread.
-const TOLERANCE: f64 = 0.03;
+/// Limits of the factor on it: over next to no support the fit begins a factor of ten from where it ends, and goes to and fro at its
+/// end.
+const TRUST_FACTOR: [f64; 2] = [0.1, 2.0];
+
+/// When linearising ends.
+#[derive(Clone, Copy, Debug)]
+pub struct Until {
+    /// No parameter of (ln p1, ln p2, p3) moves by more than this.
+    pub change: f64,
+    /// No passage moves by more than this, metres.
+    pub shift_m: f64,
+    /// Linearisations at most.
+    pub rounds: usize,
+}
 
 /// State of the calibration: what is known of a site so far.
 #[derive(Clone, Debug)]
@@ -85,20 +96,21 @@ impl Calibration {
 }
 
 impl EvidenceProblem<'_> {
-    /// Linearises until ballast and axle times stay, at most `rounds` times; moves the axle times of the passages.
+    /// Linearises until ballast and axle times stay; moves the axle times of the passages.
     pub fn converge(
         &self,
         state: &mut Calibration,
         passages: &mut [SitePassage],
-        rounds: usize,
+        until: Until,
     ) -> Result<EvidenceFit, InverseError> {
+        let mut trust = Trust::new();
         let mut evaluations = 0;
         loop {
             let posterior = self.posterior(state, passages)?;
             evaluations += 1;
-            let largest = state.advance(&posterior);
+            state.advance(&posterior, &mut trust);
             realign(passages, &posterior);
-            if largest < TOLERANCE || evaluations >= rounds {
+            if until.reached(&posterior) || evaluations >= until.rounds {
                 return Ok(EvidenceFit {
                     parameters: state.ballast,
                     covariance: last_of(&posterior.covariance),
@@ -187,15 +199,45 @@ impl EvidenceProblem<'_> {
     }
 }
 
+impl Until {
+    fn reached(&self, posterior: &SitePosterior) -> bool {
+        let largest = |values: &[f64]| values.iter().fold(0.0, |m: f64, v| m.max(v.abs()));
+        largest(&posterior.parameters) < self.change && largest(&posterior.shift_m) < self.shift_m
+    }
+}
+
+/// How far a linearisation is trusted, relative to [`TRUST`]: further while the ballast keeps its direction, less where it turns.
+struct Trust {
+    factor: f64,
+    last: [f64; 3],
+}
+
+impl Trust {
+    fn new() -> Self {
+        Self { factor: 1.0, last: [0.0; 3] }
+    }
+
+    /// Part of a change that is gone.
+    fn step(&mut self, change: &[f64]) -> [f64; 3] {
+        let limited = |factor: f64| (0..3).map(|k| change[k].abs() / (factor * TRUST[k])).fold(1.0, f64::max);
+        let along: f64 = (0..3).map(|k| change[k] * self.last[k] / TRUST[k].powi(2)).sum();
+        if along < 0.0 {
+            self.factor = (0.5 * self.factor).max(TRUST_FACTOR[0]);
+        } else if along > 0.0 && limited(self.factor) > 1.0 {
+            self.factor = (2.0 * self.factor).min(TRUST_FACTOR[1]);
+        }
+        let excess = limited(self.factor);
+        self.last = std::array::from_fn(|k| change[k] / excess);
+        self.last
+    }
+}
+
 impl Calibration {
-    /// Moves to the posterior mean, within the trust region; returns the largest change of a parameter.
-    fn advance(&mut self, posterior: &SitePosterior) -> f64 {
-        let change = &posterior.parameters;
-        let excess = (0..3).map(|k| change[k].abs() / TRUST[k]).fold(1.0, f64::max);
-        let z = self.ballast.to_vector();
-        self.ballast = BallastParameters::from_vector(&std::array::from_fn(|k| z[k] + change[k] / excess));
+    /// Moves towards the posterior mean, as far as it is trusted.
+    fn advance(&mut self, posterior: &SitePosterior, trust: &mut Trust) {
+        let (z, step) = (self.ballast.to_vector(), trust.step(&posterior.parameters));
+        self.ballast = BallastParameters::from_vector(&std::array::from_fn(|k| z[k] + step[k]));
         self.irregularity = posterior.profile.clone();
-        change.iter().fold(0.0, |m: f64, c| m.max(c.abs()))
     }
 }
 

@@ -5,7 +5,7 @@ use super::described::{Descriptions, Heard};
 use super::sound::UNLIKE;
 use super::{HYPER_PASSAGES, IdentifyError, calibrated_greens, force_model, some_of, spread_out};
 use crate::ballast::BallastParameters;
-use crate::ballast::evidence::{Calibration, EvidenceFit, EvidenceProblem, realign};
+use crate::ballast::evidence::{Calibration, EvidenceFit, EvidenceProblem, Until, realign};
 use crate::ballast::quasi_static::{QuasiStatic, QuasiStaticFit};
 use crate::greens::GreensFunctions;
 use crate::inverse::hierarchy::SitePassage;
@@ -14,10 +14,13 @@ use crate::reconstruct::{Recording, Timing};
 
 /// Passages used for the search over ballast; all are used for everything else.
 const CALIBRATION_PASSAGES: usize = 8;
-/// Linearisations at most: under the prior that the calibration begins with, under the one that the evidence chooses, over all passages.
-const ROUGH_ROUNDS: usize = 2;
-const SEARCH_ROUNDS: usize = 10;
-const LAST_ROUNDS: usize = 3;
+/// Under the prior that the calibration begins with: near enough for the evidence to choose another. The next step is about a tenth of
+/// the last one (Gauss-Newton).
+const ROUGH: Until = Until { change: 0.1, shift_m: f64::INFINITY, rounds: 12 };
+/// Under that one: far below the parameters' spread.
+const SEARCH: Until = Until { change: 0.03, shift_m: f64::INFINITY, rounds: 12 };
+/// Over all passages, which may be far off where the search has not used them.
+const LAST: Until = Until { change: 0.03, shift_m: 0.005, rounds: 6 };
 /// Share of the passages in which the sleeper seems to rise from which on the sensor is taken to be upside down.
 const UPSIDE_DOWN: f64 = 0.8;
 
@@ -153,16 +156,16 @@ fn calibrate(
     let others: Vec<usize> = all.into_iter().filter(|i| !searched.contains(i)).collect();
     let of = |which: &[usize]| which.iter().map(|i| passages[*i]).collect::<Vec<SitePassage>>();
     let (mut some, mut followed) = (of(&searched), of(&others));
-    problem.converge(&mut state, &mut some, ROUGH_ROUNDS)?;
+    problem.converge(&mut state, &mut some, ROUGH)?;
     progress.step();
     state.prior = problem.refined(&state, &spread_out(&some, HYPER_PASSAGES))?;
     progress.step();
-    problem.converge(&mut state, &mut some, SEARCH_ROUNDS)?;
+    problem.converge(&mut state, &mut some, SEARCH)?;
     progress.step();
     // Axle times of the others first: they are far off, as the search has not used them.
     problem.follow(&state, &mut followed)?;
     passages.copy_from_slice(&merged(&searched, &some, &others, &followed));
-    let fit = problem.converge(&mut state, passages, LAST_ROUNDS)?;
+    let fit = problem.converge(&mut state, passages, LAST)?;
     progress.step();
     Ok((state, fit))
 }

@@ -31,7 +31,7 @@ fn regress_steps_of_the_baseline_are_named_beside_voids() {
     let mut scenario = trial(501, 57, &["support-loss", "axle-load"]);
     let sleepers = vec![(-1, 0.5), (0, 1.0), (1, 0.5)];
     scenario.simulation.effects = Effects {
-        voided_sleepers: Some(VoidedSleepers { gap_m: 2.184e-3, sleepers }),
+        voided_sleepers: Some(VoidedSleepers { gap_m: 2.184e-3, sleepers, crib_damping: 0.0 }),
         bias_step: Some(BiasSteps { step_m_s2: 5.277, decay_s: 0.186 }),
         ..Effects::default()
     };

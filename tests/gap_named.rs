@@ -249,7 +249,7 @@ fn regress_interference_over_a_void_is_named() {
     let both = ["voided-sleepers", "tonal"];
     let mut scenario = trial(30, 17, &both);
     let sleepers = vec![(-1, 0.5), (0, 1.0), (1, 0.5)];
-    let voided_sleepers = Some(VoidedSleepers { gap_m: 1.0935e-3, sleepers });
+    let voided_sleepers = Some(VoidedSleepers { gap_m: 1.0935e-3, sleepers, crib_damping: 0.0 });
     let tonal = Some(Tonal { frequency_hz: 92.72, amplitude_m_s2: 6.372 });
     scenario.simulation.effects = Effects { voided_sleepers, tonal, ..Effects::default() };
     let found = among(&few(&scenario), &both);
@@ -317,7 +317,7 @@ fn regress_a_mount_over_a_void_is_named() {
     let sleepers = vec![(-1, 0.5), (0, 1.0), (1, 0.5)];
     let truth_hz = 260.5;
     scenario.simulation.effects = Effects {
-        voided_sleepers: Some(VoidedSleepers { gap_m: 0.774e-3, sleepers }),
+        voided_sleepers: Some(VoidedSleepers { gap_m: 0.774e-3, sleepers, crib_damping: 0.0 }),
         mount_resonance: Some(Mount { frequency_hz: truth_hz, damping_ratio: 0.068 }),
         ..Effects::default()
     };

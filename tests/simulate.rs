@@ -163,7 +163,8 @@ fn property_effects_change_what_they_should_and_nothing_else() {
     };
     let voided = with(&|s| {
         let sleepers = vec![(0, 1.0)];
-        s.simulation.effects.voided_sleepers = Some(VoidedSleepers { gap_m: 0.5e-3, sleepers });
+        s.simulation.effects.voided_sleepers =
+            Some(VoidedSleepers { gap_m: 0.5e-3, sleepers, crib_damping: 0.0 });
     });
     assert!(deepest(&voided) > deepest(&nominal) + 0.1e-3);
     assert_eq!(voided.truth.site.effects.as_array().unwrap()[0].as_str(), Some("voided-sleepers"));

@@ -11,9 +11,9 @@ use serde_json::Value;
 
 use super::GapError;
 use super::data::QUIET_S;
-use super::effect::Effect;
-use super::effects::{common, support_loss};
-use super::equivalent::on_linear_bed;
+use super::effect::{Effect, Parameter};
+use super::effects::{forms, support_loss};
+use super::equivalent::{Departure, on_linear_bed};
 use super::world::REFERENCE_C;
 use crate::progress::Progress;
 use crate::recording::files::read_bytes;
@@ -153,11 +153,8 @@ const BENDS: [Bend; 2] = [
     Bend { effect: "ballast-stiffening", parameter: "doubling_m", range: [1e-5, 10.0] },
 ];
 
-/// An effect by which the bed is not linear, and where its fit begins.
-fn departure(
-    effect: &Included,
-    purpose: Purpose,
-) -> Result<Option<(&'static dyn Effect, Vec<f64>)>, CorrectionError> {
+/// An effect by which the bed is not linear: its forms, and where the fit of each begins.
+fn departure(effect: &Included, purpose: Purpose) -> Result<Option<Departure>, CorrectionError> {
     let Some(Bend { parameter, range, .. }) = effect.bend() else { return Ok(None) };
     if purpose == Purpose::Kernel {
         return Err(
@@ -165,10 +162,10 @@ fn departure(
         );
     }
     let main = effect.value(parameter, *range)?;
-    let Some(known) = common(&effect.name) else { return Ok(None) };
-    // What else the effect has is of no interest by itself and not stated.
-    let of = |(k, p): (usize, &super::effect::Parameter)| if k == 0 { p.coordinate(main) } else { p.prior.0 };
-    Ok(Some((known, known.parameters().iter().enumerate().map(of).collect())))
+    // What else a form has is of no interest by itself and not stated.
+    let of = |(k, p): (usize, &Parameter)| if k == 0 { p.coordinate(main) } else { p.prior.0 };
+    let form = |form: &'static dyn Effect| (form, form.parameters().iter().enumerate().map(of).collect());
+    Ok(Some(forms(&effect.name).into_iter().map(form).collect()))
 }
 
 /// A factor on a stiffness, mass or load.

@@ -63,6 +63,13 @@ pub fn common(name: &str) -> Option<&'static dyn Effect> {
     COMMON.into_iter().find(|e| e.name() == name)
 }
 
+/// The forms that an effect of the panel may have, that of the catalogue first; none if it is not in there.
+pub fn forms(name: &str) -> Vec<&'static dyn Effect> {
+    let more: Option<&'static dyn Effect> =
+        (name == voided_sleepers::VoidedSleepers.name()).then_some(&voided_sleepers::VoidOverFive);
+    common(name).into_iter().flat_map(|first| std::iter::once(first).chain(more)).collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -91,6 +91,15 @@ impl Simulator {
         })
     }
 
+    /// The same with a whole train, whose bogies have their front axles at `bogies_m` behind the first one.
+    pub fn with_bogies(&self, bogies_m: &[f64]) -> Self {
+        let [first] = self.train.units.as_slice() else { return self.clone() };
+        let mut out = self.clone();
+        out.train.units = bogies_m.iter().map(|offset_m| first.behind(*offset_m)).collect();
+        out.train.wheels = bogies_m.iter().flat_map(|_| self.train.wheels.clone()).collect();
+        out
+    }
+
     /// The same with one knot of the path raised: under the front (0) or rear (1) wheel on the crossing side, under both on
     /// the other.
     pub fn with_bump(
@@ -329,6 +338,7 @@ pub(super) fn supports(world: &World, track: &Track) -> Vec<Support> {
     for (offset, gap_m) in &world.bed.gap_m {
         if let Some(i) = at(*offset) {
             supports[i].law = SupportLaw::Unilateral { gap_m: *gap_m, preload_n_m: 0.0 };
+            supports[i].open_damping_ns_m2 = world.bed.crib_damping * damping;
         }
     }
     supports

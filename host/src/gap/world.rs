@@ -34,6 +34,8 @@ pub struct World {
 pub struct Bed {
     /// Sleepers and the gap under them, metres.
     pub gap_m: Vec<(i64, f64)>,
+    /// Part of the bed's damping that these keep while they hang, as they rub along the crib.
+    pub crib_damping: f64,
     /// Displacement at which the secant stiffness has doubled, metres.
     pub doubling_m: Option<f64>,
     /// Ballast moving with every sleeper, kg per metre of sleeper.

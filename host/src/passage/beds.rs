@@ -35,7 +35,7 @@ impl Laws {
         match support.law {
             SupportLaw::Linear => {}
             SupportLaw::Unilateral { gap_m, preload_n_m } => {
-                (self.stiffness[lane], self.damping[lane]) = (k, support.damping_ns_m2);
+                (self.stiffness[lane], self.damping[lane]) = (k, support.closed_damping_ns_m2());
                 (self.gap_m[lane], self.least[lane]) = (gap_m, -preload_n_m);
             }
             SupportLaw::Quadratic { doubling_m } => self.quadratic[lane] = k / doubling_m,
@@ -144,7 +144,7 @@ mod tests {
 
     #[test]
     fn property_lanes_follow_the_law_of_each_sleeper() {
-        let bed = |law| Support { stiffness_n_m2: 30e6, damping_ns_m2: 1e5, mass_kg_m: 0.0, law };
+        let bed = |law| Support { law, open_damping_ns_m2: 2e4, ..Support::linear(30e6, 1e5) };
         let laws = [
             SupportLaw::Linear,
             SupportLaw::Unilateral { gap_m: 1e-3, preload_n_m: 0.0 },

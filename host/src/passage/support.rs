@@ -7,6 +7,8 @@ pub struct Support {
     pub stiffness_n_m2: f64,
     /// Damping c, Ns/m².
     pub damping_ns_m2: f64,
+    /// Part of the damping that stays while a bed that opens is open: the sleeper rubs along the crib, Ns/m².
+    pub open_damping_ns_m2: f64,
     /// Ballast that moves with the sleeper, kg/m.
     pub mass_kg_m: f64,
     /// Departure from the linear bed.
@@ -43,19 +45,30 @@ pub enum SupportLaw {
 impl Support {
     /// Linear bed.
     pub fn linear(stiffness_n_m2: f64, damping_ns_m2: f64) -> Self {
-        Self { stiffness_n_m2, damping_ns_m2, mass_kg_m: 0.0, law: SupportLaw::Linear }
+        Self {
+            stiffness_n_m2,
+            damping_ns_m2,
+            open_damping_ns_m2: 0.0,
+            mass_kg_m: 0.0,
+            law: SupportLaw::Linear,
+        }
     }
 
-    /// Stiffness and damping that the constant system matrix holds. A bed that opens is left out altogether, so that an
-    /// open one needs no correction; a bed that stiffens is in with its first stiffness.
+    /// Stiffness and damping that the constant system matrix holds. Of a bed that opens there is only what stays while it is open, so
+    /// that an open one needs no correction; a bed that stiffens is in with its first stiffness.
     pub(super) fn implicit(&self) -> (f64, f64) {
         match self.law {
-            SupportLaw::Unilateral { .. } => (0.0, 0.0),
+            SupportLaw::Unilateral { .. } => (0.0, self.open_damping_ns_m2),
             _ => (self.stiffness_n_m2, self.damping_ns_m2),
         }
     }
 
-    /// Force per metre on the sleeper beyond what the constant matrices hold (all of a bed that opens, the first stiffness of
+    /// Damping of a bed that opens beyond what stays while it is open, Ns/m².
+    pub(super) fn closed_damping_ns_m2(&self) -> f64 {
+        self.damping_ns_m2 - self.open_damping_ns_m2
+    }
+
+    /// Force per metre on the sleeper beyond what the constant matrices hold (what stays of a bed that opens, the first stiffness of
     /// one that stiffens), positive downwards, N/m.
     pub fn correction(&self, w_m: f64, rate_m_s: f64) -> f64 {
         let k = self.stiffness_n_m2;
@@ -64,7 +77,7 @@ impl Support {
             SupportLaw::Unilateral { gap_m, preload_n_m } => {
                 let elastic = k * (w_m - gap_m);
                 let force = if elastic > -preload_n_m {
-                    (elastic + self.damping_ns_m2 * rate_m_s).max(-preload_n_m)
+                    (elastic + self.closed_damping_ns_m2() * rate_m_s).max(-preload_n_m)
                 } else {
                     -preload_n_m
                 };
@@ -90,11 +103,18 @@ mod tests {
 
     #[test]
     fn analytic_laws_at_hand_picked_points() {
-        let bed = |law| Support { stiffness_n_m2: 30e6, damping_ns_m2: 1e5, mass_kg_m: 0.0, law };
+        let bed = |law| Support { law, ..Support::linear(30e6, 1e5) };
         let void = bed(SupportLaw::Unilateral { gap_m: 1e-3, preload_n_m: 0.0 });
         assert_eq!(void.correction(0.9e-3, 1.0), 0.0, "open: no damping either");
         assert!((void.correction(1.5e-3, 0.0) + 15e3).abs() < 1e-6);
         assert_eq!(void.correction(1.1e-3, -1.0), 0.0, "damping may cancel contact but not pull");
+        let rubbing = Support { open_damping_ns_m2: 4e4, ..void };
+        assert_eq!(rubbing.implicit(), (0.0, 4e4));
+        assert_eq!(rubbing.correction(0.9e-3, 1.0), 0.0, "what stays is in the matrices");
+        assert!(
+            (rubbing.correction(1.5e-3, 0.1) + 15e3 + 6e3).abs() < 1e-6,
+            "all of the damping where it is closed"
+        );
         let resting = bed(SupportLaw::Unilateral { gap_m: 0.0, preload_n_m: 1500.0 });
         assert_eq!(resting.correction(-1e-3, 0.0), 1500.0, "lifted: the missing reaction of the weight");
         assert!((resting.correction(-1e-5, 0.0) - 300.0).abs() < 1e-9);

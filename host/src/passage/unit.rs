@@ -129,6 +129,12 @@ impl VehicleUnit {
         })
     }
 
+    /// The same unit with its axles farther behind the first axle of the train, metres.
+    pub fn behind(&self, by_m: f64) -> Self {
+        let axle_offset_m = self.axle_offset_m.iter().map(|offset_m| offset_m + by_m).collect();
+        Self { axle_offset_m, ..self.clone() }
+    }
+
     /// A wheelset under a constant force, without suspension.
     pub fn wheelset(
         mass_kg: f64,

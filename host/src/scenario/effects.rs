@@ -69,6 +69,16 @@ pub struct VoidedSleepers {
     /// Sleepers, counted from the crossing sleeper, and the share of the gap under each.
     #[serde(default = "middle")]
     pub sleepers: Vec<(i64, f64)>,
+    /// Part of the bed's damping that they keep while they hang, as they rub along the crib.
+    #[serde(default)]
+    pub crib_damping: f64,
+}
+
+impl VoidedSleepers {
+    /// A gap of `gap_m` under the crossing sleeper and half of it under its neighbours, m.
+    pub fn in_the_middle(gap_m: f64) -> Self {
+        Self { gap_m, sleepers: middle(), crib_damping: 0.0 }
+    }
 }
 
 fn middle() -> Vec<(i64, f64)> {

@@ -332,9 +332,11 @@ fn supports(
     }
     if let Some(voided) = &effects.voided_sleepers {
         in_range("voided-sleepers.gap_m", voided.gap_m, [0.0, 0.05], "m")?;
+        in_range("voided-sleepers.crib_damping", voided.crib_damping, [0.0, 1.0], "of the bed's")?;
         for (offset, share) in &voided.sleepers {
             if let Some(support) = at(*offset).and_then(|k| supports.get_mut(k)) {
                 support.law = SupportLaw::Unilateral { gap_m: share * voided.gap_m, preload_n_m: 0.0 };
+                support.open_damping_ns_m2 = voided.crib_damping * damping_ns_m2;
             }
         }
     }

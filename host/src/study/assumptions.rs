@@ -101,8 +101,7 @@ impl Break {
         e.axle_load = (self.load != 0.0).then_some(Factor { factor: 1.0 + self.load });
         e.load_transfer =
             (self.side != 0.0).then_some(LoadTransfer { to_crossing_side: self.side, to_front: 0.0 });
-        e.voided_sleepers = (self.gap_m != 0.0)
-            .then(|| VoidedSleepers { gap_m: self.gap_m, sleepers: vec![(-1, 0.5), (0, 1.0), (1, 0.5)] });
+        e.voided_sleepers = (self.gap_m != 0.0).then(|| VoidedSleepers::in_the_middle(self.gap_m));
         scenario
     }
 }

@@ -132,8 +132,7 @@ fn put(effects: &mut Effects, (name, level): (&str, f64), mut random: Random) ->
     match name {
         "voided-sleepers" => {
             let gap_m = between(0.1e-3, 4e-3);
-            effects.voided_sleepers =
-                Some(kinds::VoidedSleepers { gap_m, sleepers: vec![(-1, 0.5), (0, 1.0), (1, 0.5)] });
+            effects.voided_sleepers = Some(kinds::VoidedSleepers::in_the_middle(gap_m));
             gap_m
         }
         "ballast-stiffening" => {

@@ -42,9 +42,9 @@ pub const LONGER_RECORDING: f64 = 2e-3;
 /// Force peaks over a void of 0.8 mm whose size is a quarter wrong where it is taken into account, relative, median: what is asked of a
 /// site without one, twice over.
 pub const VOID_PEAK_MEDIAN: f64 = 0.05;
-/// Outer ballast found below a void in recordings of another program, logarithm: 39 for 30 MN/m² is 0.26; a void under too few sleepers
-/// leaves 1.3.
-pub const P1_BELOW_A_VOID: f64 = 0.4;
+/// p1 and p2 found below a void in recordings of another program, logarithm: 26 to 39 for 30 and 13.7 to 17.6 for 18 MN/m², by where the fit
+/// begins (0.7 to 0.9 mm), are 0.14, 0.26, 0.27 and 0.02; a void under three sleepers, bogie by bogie, leaves 1.0 to 1.3 of p1.
+pub const BALLAST_BELOW_A_VOID: f64 = 0.4;
 /// Peaks and waveform over a bed that is not linear where that is taken into account, part of their errors where it is not: three tenths
 /// was measured.
 pub const BED_PART: f64 = 0.5;

@@ -84,9 +84,9 @@ fn added_by(
     })
 }
 
-/// Fits to recordings from which that is taken what whole trains do beyond their bogies, each with that of the fit before: the first leaves
-/// a sixth to a quarter of what was missed of the displacement of four sites over voids, the second takes another fifth off, and a third
-/// nothing.
+/// Fits to recordings from which that is taken what whole trains do beyond their bogies, each with that of the fit before: of the squares
+/// missed of the displacement of four sites over voids the first leaves a fifth to three fifths, the second takes 2 to 27 % off those, a
+/// third nothing.
 const WHOLE_TRAINS: usize = 2;
 
 /// Every choice of one form of each.
@@ -167,7 +167,7 @@ impl Model {
             let first_s = o.first_axle_s + shift_m / o.speed_m_s;
             let bogies_s: Vec<f64> = o.bogie_s().iter().map(|s| first_s + s).collect();
             for (response, times, of_train) in of(&one, &whole, o)? {
-                let starts = if of_train { &bogies_s[..1] } else { &bogies_s };
+                let starts = if of_train { &bogies_s[..bogies_s.len().min(1)] } else { &bogies_s };
                 response.add_train(starts, times, 0.0, 1.0 / rate_hz, &mut sum);
             }
             // The recorder's low-pass is undone in the model's accelerations.

@@ -1,7 +1,8 @@
 //! Forward simulation of one bogie: the acceleration that the sensor shows, for a world and a speed.
 //!
-//! A train is the sum of its bogies: they are 4 m and more apart, where neither wheel nor sleeper under the next bogie
-//! feels them, so superposition holds also over beds that are not linear.
+//! A train is the sum of its bogies: they are 4 m and more apart, where neither wheel nor sleeper under the next bogie feels them. Over
+//! beds that open that is so as long as a bogie is there, but sleepers swing behind it until the next one comes:
+//! [`equivalent`](super::equivalent) simulates whole trains.
 
 use super::clipping::{Spread, clipped_mean};
 use super::world::World;

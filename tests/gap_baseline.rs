@@ -29,9 +29,8 @@ fn regress_stiffening_ballast_is_named_beside_steps_of_the_baseline() {
 #[test]
 fn regress_steps_of_the_baseline_are_named_beside_voids() {
     let mut scenario = trial(501, 57, &["support-loss", "axle-load"]);
-    let sleepers = vec![(-1, 0.5), (0, 1.0), (1, 0.5)];
     scenario.simulation.effects = Effects {
-        voided_sleepers: Some(VoidedSleepers { gap_m: 2.184e-3, sleepers, crib_damping: 0.0 }),
+        voided_sleepers: Some(VoidedSleepers::in_the_middle(2.184e-3)),
         bias_step: Some(BiasSteps { step_m_s2: 5.277, decay_s: 0.186 }),
         ..Effects::default()
     };

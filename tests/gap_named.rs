@@ -248,8 +248,7 @@ fn regress_load_transfer_and_axle_load_are_not_told_apart_by_a_fiftieth_of_their
 fn regress_interference_over_a_void_is_named() {
     let both = ["voided-sleepers", "tonal"];
     let mut scenario = trial(30, 17, &both);
-    let sleepers = vec![(-1, 0.5), (0, 1.0), (1, 0.5)];
-    let voided_sleepers = Some(VoidedSleepers { gap_m: 1.0935e-3, sleepers, crib_damping: 0.0 });
+    let voided_sleepers = Some(VoidedSleepers::in_the_middle(1.0935e-3));
     let tonal = Some(Tonal { frequency_hz: 92.72, amplitude_m_s2: 6.372 });
     scenario.simulation.effects = Effects { voided_sleepers, tonal, ..Effects::default() };
     let found = among(&few(&scenario), &both);
@@ -314,10 +313,9 @@ fn regress_what_hides_behind_the_floor_is_told() {
 #[test]
 fn regress_a_mount_over_a_void_is_named() {
     let mut scenario = trial(26, 137, &["axle-load", "voided-sleepers"]);
-    let sleepers = vec![(-1, 0.5), (0, 1.0), (1, 0.5)];
     let truth_hz = 260.5;
     scenario.simulation.effects = Effects {
-        voided_sleepers: Some(VoidedSleepers { gap_m: 0.774e-3, sleepers, crib_damping: 0.0 }),
+        voided_sleepers: Some(VoidedSleepers::in_the_middle(0.774e-3)),
         mount_resonance: Some(Mount { frequency_hz: truth_hz, damping_ratio: 0.068 }),
         ..Effects::default()
     };

@@ -15,9 +15,9 @@ use super::data::Observed;
 use super::diagnosis::{SEARCH_PASSAGES, thinned, without};
 use super::effect::Effect;
 use super::estimated_path::with_path;
-use super::fit::{State, replaced, settled, simulate};
+use super::fit::{State, replaced, settled};
 use super::forward::{Detail, Response, Simulator};
-use super::measure::{Prediction, missed, prediction};
+use super::measure::missed_by;
 use super::world::{Bed, World};
 use crate::ballast::BallastParameters;
 use crate::progress::Progress;
@@ -68,9 +68,10 @@ fn added_by(
         let alone = less(&panel, &model.beyond_its_bogies()?);
         let next = modelled(&alone, (form, &searched), &prior)?;
         progress.step();
-        if next.missed < model.missed {
-            model = next;
+        if next.missed >= model.missed {
+            break;
         }
+        model = next;
     }
     // Fits are to the mean of the bogies, whose path is blurred; forces are those of a wheel.
     model.world.path.blur_m = 0.0;
@@ -132,15 +133,11 @@ fn modelled(
     let given = Given { bed: bed_with(site, form)?, ..Given::default() };
     let base = base(site, searched, searched, prior, &given)?;
     let frame = &base.frame;
-    let (effects, coordinates): (Vec<&dyn Effect>, Vec<Vec<f64>>) =
-        form.iter().map(|(effect, c)| (*effect as &dyn Effect, c.clone())).unzip();
+    let (effects, coordinates): (Vec<&dyn Effect>, Vec<Vec<f64>>) = form.iter().cloned().unzip();
     let start = State { effects: coordinates, ..base.fit.state.clone() };
     let found = settled(frame, &effects, start, searched)?;
     let world = found.state.world(frame, &effects);
-    let responses = simulate(&world, frame, searched)?;
-    let predictions: Vec<Prediction> =
-        searched.par_iter().zip(&responses).map(|(i, r)| prediction(frame, *i, (&world, r), &[])).collect();
-    let [_, displacement] = missed(&predictions);
+    let [_, displacement] = missed_by(frame, &world, &[], searched)?;
     let others: Vec<usize> = (0..frame.observed.len()).filter(|i| !searched.contains(i)).collect();
     let shift_m = replaced(frame, &effects, found.state, (&others, Detail::Full)).shift_m;
     Ok(Model { world, shift_m, missed: displacement.all, base })

@@ -2,8 +2,9 @@
 
 use rayon::prelude::*;
 
+use super::GapError;
 use super::data::{Observed, RATE_HZ, energies, own_energy};
-use super::fit::Frame;
+use super::fit::{Frame, simulate};
 use super::forward::Response;
 use super::latent::LatentFit;
 use super::trains::Deeper;
@@ -114,6 +115,19 @@ pub fn missed(passages: &[Prediction]) -> [Missed; 2] {
         };
         Missed { all: mean(2), own: mean(3) }
     })
+}
+
+/// What a world, with what single wheels and recordings add to it, misses of some passages, `[acceleration, displacement]`.
+pub fn missed_by(
+    frame: &Frame,
+    world: &World,
+    latent: &[&LatentFit],
+    passages: &[usize],
+) -> Result<[Missed; 2], GapError> {
+    let responses = simulate(world, frame, passages)?;
+    let of = |(i, response): (&usize, &Response)| prediction(frame, *i, (world, response), latent);
+    let predictions: Vec<Prediction> = passages.par_iter().zip(&responses).map(of).collect();
+    Ok(missed(&predictions))
 }
 
 /// RMS over passages relative to the measured signal, `[acceleration, displacement]`: of the base model's residual, of the

@@ -1,7 +1,5 @@
 //! Search for effects: rounds of screening, fits, acceptance and confirmation. What counts is in `candidates`.
 
-use rayon::prelude::*;
-
 use super::candidates::{Candidate, Explored, asked, put_apart_first, put_wheels_first, same_gain};
 use super::{LEAST_GAIN, MOST_SURE, Named, Ranked, Session};
 use crate::gap::GapError;
@@ -11,7 +9,7 @@ use crate::gap::effect::{ActsOn, Effect, Stage};
 use crate::gap::fit::{Fit, FitOptions, State, Whitened, fit, settled, simulate};
 use crate::gap::forward::Response;
 use crate::gap::latent::{LatentFit, Scene};
-use crate::gap::measure::{self, ALIGN_M, Missed, Prediction};
+use crate::gap::measure::{self, ALIGN_M, Missed};
 use crate::gap::select::{Standing, Tried, fit_in_place, gain, round};
 use crate::gap::world::SensorModel;
 use crate::progress::Progress;
@@ -308,15 +306,8 @@ impl Session<'_> {
     pub(super) fn missed(&self) -> Result<[Missed; 2], GapError> {
         let frame = &self.base.frame;
         let world = self.state().world(frame, &self.accepted);
-        let train = &self.split.train;
-        let responses = simulate(&world, frame, train)?;
         let latent: Vec<&LatentFit> = self.latent_fits.iter().map(|(_, f)| f).collect();
-        let predictions: Vec<Prediction> = train
-            .par_iter()
-            .zip(&responses)
-            .map(|(i, r)| measure::prediction(frame, *i, (&world, r), &latent))
-            .collect();
-        Ok(measure::missed(&predictions))
+        measure::missed_by(frame, &world, &latent, &self.split.train)
     }
 
     /// Whether the effect accepted last takes enough off the residual; if not, it is taken back.

@@ -1,14 +1,16 @@
 //! Recordings of an independent simulator whose effect is known, and those without any.
 
+use cpcm::gap::diagnosis::Diagnosis;
 use cpcm::gap::effects::advice;
 use cpcm::gap::verdict::Verdict;
 use cpcm_tests::diagnosed::{field, full, named};
+use cpcm_tests::tolerance;
 
 /// Most effects in a group that is not told apart.
 const LARGEST_GROUP: usize = 3;
 
 /// The effect is the first of the verdict, or in its group.
-fn assert_named(effect: &str) {
+fn assert_named(effect: &str) -> Diagnosis {
     let found = full(&field(&format!("known-{effect}")));
     let first = found.effects.first().unwrap_or_else(|| panic!("{effect}: {:?}", found.remarks));
     let group: Vec<&str> =
@@ -17,6 +19,7 @@ fn assert_named(effect: &str) {
     assert!(group.len() <= LARGEST_GROUP, "{effect}: {group:?}");
     let action = found.recommended_action(first).unwrap_or_else(|| panic!("{effect}: {:?}", found.verdict));
     assert!(action.contains(advice(effect).unwrap().action), "{effect}: {action}");
+    found
 }
 
 #[test]
@@ -42,7 +45,8 @@ fn reference_saturation_is_named() {
 
 #[test]
 fn reference_voided_sleepers_are_named() {
-    assert_named("voided-sleepers");
+    let found = assert_named("voided-sleepers");
+    assert!(found.gap.closed_fraction > tolerance::VOID_CLOSED, "{:?}", found.gap);
 }
 
 #[test]

@@ -19,6 +19,7 @@ pub mod latent;
 pub mod linear;
 pub mod measure;
 pub mod node_stage;
+pub mod open_bed;
 pub mod receptance;
 pub mod results;
 pub mod select;

@@ -4,6 +4,7 @@ mod afresh;
 mod both;
 mod candidates;
 mod conclusion;
+mod over_voids;
 mod plausible;
 mod recorder;
 mod review;
@@ -234,6 +235,7 @@ fn diagnose_trains(
         base = super::base::base(panel, &split.train, &search, &path_prior, &Given::recorder(sensor))?;
     }
     let mut session = Session::new(site, options, &split, &search, &mut base);
+    session.panel = Some((panel, &path_prior));
     session.clips_at_m_s2 = flat_top_m_s2.map(|(range, _)| range);
     session.take(&recorder);
     if estimated {
@@ -313,6 +315,12 @@ struct Session<'a> {
     split: &'a Split,
     search: &'a [usize],
     base: &'a mut Base,
+    /// Recordings and panel as the base model has them, and the prior of its path.
+    panel: Option<(&'a Site, &'a PathPrior)>,
+    /// The base model over a linear bed, while voids are in the present one.
+    linear: Option<Base>,
+    /// Voids have been looked into.
+    voids_formed: bool,
     hammer: Option<&'a Hammer>,
     hints: Hints,
     common: Vec<&'static dyn Effect>,
@@ -353,6 +361,9 @@ impl<'a> Session<'a> {
         let mut session = Self {
             split,
             search,
+            panel: None,
+            linear: None,
+            voids_formed: false,
             hammer: options.hammer.as_ref(),
             hints: Hints { largest_m_s2 },
             common: COMMON.iter().copied().filter(|e| left_in(e.name())).collect(),

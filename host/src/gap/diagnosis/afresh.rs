@@ -43,7 +43,7 @@ impl Session<'_> {
     }
 
     /// The site without the steps of its baseline.
-    fn without_steps(&self, site: &Site) -> Site {
+    pub(super) fn without_steps(&self, site: &Site) -> Site {
         let mut clean = site.clone();
         for (i, o) in self.base.frame.observed.iter().enumerate() {
             for p in clean.passages.iter_mut().filter(|p| p.passage_id == o.passage_id) {

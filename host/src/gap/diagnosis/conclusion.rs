@@ -212,6 +212,7 @@ impl Session<'_> {
                 self.fit = None;
             }
         }
+        self.back_to_linear();
         self.final_fit()
     }
 

@@ -187,11 +187,16 @@ impl Session<'_> {
     /// Factors by which the base model's mean windows fit passages best, given how wheels differ.
     fn scales(&self, passages: &[usize]) -> Result<Vec<f64>, GapError> {
         let frame = &self.base.frame;
-        let world = self.base.fit.state.world(frame, &[]);
+        // Over voids there is no base model without them.
+        let (state, effects) = match self.linear {
+            Some(_) => (self.state(), self.accepted.as_slice()),
+            None => (self.base.fit.state.clone(), [].as_slice()),
+        };
+        let world = state.world(frame, effects);
         let responses = simulate(&world, frame, passages)?;
         let scale = |index: usize, response: &Response| {
             let o = &frame.observed[index];
-            let late_s = self.base.fit.state.shift_m[index] / o.speed_m_s;
+            let late_s = state.shift_m[index] / o.speed_m_s;
             let predicted = o.predicted_mean(response, 1.0, late_s);
             let columns = Mat::from_fn(o.mean.len(), 2, |k, c| if c == 0 { o.mean[k] } else { predicted[k] });
             let white = whitened(&frame.factors[index], &columns);

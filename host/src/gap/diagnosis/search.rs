@@ -40,14 +40,17 @@ pub(super) struct Confirmed {
 impl Session<'_> {
     pub(super) fn search(&mut self, progress: &dyn Progress) -> Result<(), GapError> {
         self.searched = true;
-        for number in self.named.len()..MOST_EFFECTS {
-            // A round can take two effects.
-            if self.named.len() >= MOST_EFFECTS {
-                break;
-            }
-            progress.begin(&format!("effects, round {}", number + 1), 2);
+        let mut rounds = MOST_EFFECTS - self.named.len().min(MOST_EFFECTS);
+        // A round can take two effects.
+        while rounds > 0 && self.named.len() < MOST_EFFECTS {
+            rounds -= 1;
+            progress.begin(&format!("effects, round {}", self.named.len() + 1), 2);
             if !self.one_round(progress)? {
                 break;
+            }
+            if self.follow_the_bed(progress)? {
+                // Everything else is looked for again.
+                rounds = MOST_EFFECTS - self.named.len().min(MOST_EFFECTS);
             }
         }
         if (self.adrift() || self.worn()) && self.remarks.iter().all(|r| r != ADRIFT) {

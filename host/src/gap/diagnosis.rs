@@ -234,8 +234,7 @@ fn diagnose_trains(
     if sensor != SensorModel::default() {
         base = super::base::base(panel, &split.train, &search, &path_prior, &Given::recorder(sensor))?;
     }
-    let mut session = Session::new(site, options, &split, &search, &mut base);
-    session.panel = Some((panel, &path_prior));
+    let mut session = Session::new(site, options, (panel, &path_prior), (&split, &search), &mut base);
     session.clips_at_m_s2 = flat_top_m_s2.map(|(range, _)| range);
     session.take(&recorder);
     if estimated {
@@ -316,7 +315,7 @@ struct Session<'a> {
     search: &'a [usize],
     base: &'a mut Base,
     /// Recordings and panel as the base model has them, and the prior of its path.
-    panel: Option<(&'a Site, &'a PathPrior)>,
+    panel: (&'a Site, &'a PathPrior),
     /// The base model over a linear bed, while voids are in the present one.
     linear: Option<Base>,
     /// Voids have been looked into.
@@ -352,8 +351,8 @@ impl<'a> Session<'a> {
     fn new(
         site: &Site,
         options: &'a DiagnoseOptions,
-        split: &'a Split,
-        search: &'a [usize],
+        panel: (&'a Site, &'a PathPrior),
+        (split, search): (&'a Split, &'a [usize]),
         base: &'a mut Base,
     ) -> Self {
         let left_in = |name: &str| !options.exclude.iter().any(|e| e == name);
@@ -361,7 +360,7 @@ impl<'a> Session<'a> {
         let mut session = Self {
             split,
             search,
-            panel: None,
+            panel,
             linear: None,
             voids_formed: false,
             hammer: options.hammer.as_ref(),

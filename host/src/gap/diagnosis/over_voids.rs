@@ -32,7 +32,7 @@ impl Session<'_> {
     }
 
     fn form(&mut self, k: usize, progress: &dyn Progress) -> Result<bool, GapError> {
-        let Some((site, prior)) = self.panel else { return Ok(false) };
+        let (site, prior) = self.panel;
         let found = self.state().effects;
         let with = |form: &'static dyn Effect| -> Vec<Form> {
             let mut all: Vec<Form> = self.accepted.iter().copied().zip(found.iter().cloned()).collect();
@@ -84,10 +84,11 @@ impl Session<'_> {
         if self.of_many_forms().is_some() {
             return false;
         }
-        let Some(linear) = self.linear.take() else { return false };
-        self.forget_search();
-        *self.base = linear;
-        true
+        let over_voids = self.linear.is_some();
+        if over_voids {
+            self.forget_search();
+        }
+        over_voids
     }
 }
 

@@ -96,7 +96,7 @@ impl Session<'_> {
         if self.latent_fits.is_empty() { Ok(()) } else { self.refit_variation() }
     }
 
-    /// Takes back all that the search has named.
+    /// Takes back all that the search has named, and the base model over voids, if that is one.
     pub(super) fn forget_search(&mut self) {
         let latent = std::mem::take(&mut self.latent_fits);
         latent.iter().for_each(|(_, found)| self.give_back(found));
@@ -104,6 +104,9 @@ impl Session<'_> {
         let names = accepted.iter().map(|e| e.name()).chain(latent.iter().map(|(e, _)| e.name()));
         names.for_each(|name| self.taken_back(name));
         self.fit = None;
+        if let Some(linear) = self.linear.take() {
+            *self.base = linear;
+        }
     }
 
     /// Takes what an effect of wheels or recordings adds off the windows.

@@ -61,6 +61,17 @@ pub struct Base {
     pub window_m: (f64, f64),
 }
 
+impl Base {
+    /// Puts the recordings of other readings of the same passages in the place of those that it was fitted to, from which something had
+    /// been taken.
+    pub fn record_again(&mut self, as_read: &[Observed]) {
+        for (new, old) in self.frame.observed.iter_mut().zip(as_read) {
+            new.recording = old.recording.clone();
+            new.cut(self.window_m);
+        }
+    }
+}
+
 /// The speed of the envelope is right within half of this, relative (field recordings); the next maximum of the coherent stack is
 /// farther away.
 const BY_ENVELOPE: f64 = 0.008;

@@ -11,8 +11,8 @@ use serde_json::Value;
 
 use super::GapError;
 use super::data::QUIET_S;
-use super::effect::{Effect, Parameter};
-use super::effects::{forms, support_loss};
+use super::effect::Effect;
+use super::effects::{forms, in_form, support_loss};
 use super::equivalent::{Departure, on_linear_bed};
 use super::world::REFERENCE_C;
 use crate::progress::Progress;
@@ -162,9 +162,7 @@ fn departure(effect: &Included, purpose: Purpose) -> Result<Option<Departure>, C
         );
     }
     let main = effect.value(parameter, *range)?;
-    // What else a form has is of no interest by itself and not stated.
-    let of = |(k, p): (usize, &Parameter)| if k == 0 { p.coordinate(main) } else { p.prior.0 };
-    let form = |form: &'static dyn Effect| (form, form.parameters().iter().enumerate().map(of).collect());
+    let form = |form: &'static dyn Effect| (form, in_form(form, &[form.parameters()[0].coordinate(main)]));
     Ok(Some(forms(&effect.name).into_iter().map(form).collect()))
 }
 

@@ -70,6 +70,13 @@ pub fn forms(name: &str) -> Vec<&'static dyn Effect> {
     common(name).into_iter().flat_map(|first| std::iter::once(first).chain(more)).collect()
 }
 
+/// Coordinates of a form whose sizes, which come first in all forms of an effect, are at `sizes`; what else it has is of no interest by
+/// itself, and where most of that form have it.
+pub fn in_form(form: &dyn Effect, sizes: &[f64]) -> Vec<f64> {
+    let rest = form.parameters().iter().skip(form.sizes()).map(|p| p.prior.0);
+    sizes.iter().take(form.sizes()).copied().chain(rest).collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

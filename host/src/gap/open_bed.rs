@@ -20,7 +20,7 @@ use crate::progress::Progress;
 use crate::recording::Site;
 use crate::signal::{AntiAlias, filtered};
 
-/// Passages that tell the form: the wrong one misses twice to five times as much of five.
+/// Passages that tell the form: of five and more the wrong one misses 1.7 to 6 times as much on four sites.
 const FORM_PASSAGES: usize = 6;
 
 /// What a model over such a bed is fitted to.
@@ -119,8 +119,7 @@ impl OpenBed {
         Ok(Self { effects, fit, world, shift_m, missed, beyond: Vec::new(), base })
     }
 
-    /// Squares of what it misses of the displacement: there a bed shows, and the wrong form misses twice to five times as much; the
-    /// acceleration is the wheels'.
+    /// Squares of what it misses of the displacement: there a bed and its form show; the acceleration is the wheels'.
     fn misfit(&self) -> f64 {
         self.missed[1].all
     }

@@ -30,11 +30,7 @@ impl Session<'_> {
         if fresh.frame.observed.len() != before.len() {
             return Ok(());
         }
-        let window = fresh.window_m;
-        for (new, old) in fresh.frame.observed.iter_mut().zip(before) {
-            new.recording = old.recording.clone();
-            new.cut(window);
-        }
+        fresh.record_again(before);
         *self.base = fresh;
         for (effect, _) in std::mem::take(&mut self.latent_fits) {
             self.taken_back(effect.name());

@@ -9,7 +9,7 @@ use crate::gap::GapError;
 use crate::gap::base::Form;
 use crate::gap::data::{Observed, RATE_HZ};
 use crate::gap::effect::{ActsOn, Advice, Effect, Stage};
-use crate::gap::effects::forms;
+use crate::gap::effects::{forms, in_form};
 use crate::gap::latent::{Latent, LatentFit, Scene};
 use crate::gap::measure::Missed;
 use crate::gap::open_bed::{OpenBed, Task, Trace};
@@ -62,10 +62,7 @@ impl Session<'_> {
     /// Goes on from a model over voids. What single wheels and recordings add was judged by another one, and is looked for again.
     fn take_over(&mut self, model: OpenBed) -> Result<(), GapError> {
         let OpenBed { mut base, effects, fit, beyond, .. } = model;
-        for (new, old) in base.frame.observed.iter_mut().zip(&self.base.frame.observed) {
-            new.recording = old.recording.clone();
-            new.cut(base.window_m);
-        }
+        base.record_again(&self.base.frame.observed);
         let latent = std::mem::take(&mut self.latent_fits);
         for (effect, found) in &latent {
             self.give_back(found);
@@ -81,21 +78,12 @@ impl Session<'_> {
     /// Puts the base model over a linear bed in the place of one over voids that have been taken back, and forgets what was found over
     /// them. Whether there was one.
     pub(super) fn back_to_linear(&mut self) -> bool {
-        if self.of_many_forms().is_some() {
-            return false;
-        }
-        let over_voids = self.linear.is_some();
-        if over_voids {
+        let taken_back = self.linear.is_some() && self.of_many_forms().is_none();
+        if taken_back {
             self.forget_search();
         }
-        over_voids
+        taken_back
     }
-}
-
-/// Coordinates of a form from those of another: sizes come first in all of them; what else it has is where most of that form have it.
-fn in_form(form: &'static dyn Effect, found: &[f64]) -> Vec<f64> {
-    let rest = form.parameters().iter().skip(form.sizes()).map(|p| p.prior.0);
-    found.iter().take(form.sizes()).copied().chain(rest).collect()
 }
 
 /// What whole trains do beyond the sum of their bogies, as a part of the recordings.

@@ -260,24 +260,24 @@ pub fn fit(
     let mut here = Evaluation::new(frame, effects, &state, (subset, options.detail))?;
     let mut columns = derivatives(frame, effects, &state, subset, &here)?;
     let mut fresh = true;
-    let mut lately = [f64::INFINITY; PATIENCE];
+    let mut costs = Vec::with_capacity(options.steps);
     for step in 0..options.steps {
         let linear = whiten(frame, subset, &columns, &here);
         let normal = normal_equations(frame, effects, &state, &shape, &linear, subset);
         let straight = normal.step([0.0; 2])?;
         let promised = normal.promised(&straight);
-        let next = descend(frame, effects, (&state, &here), (&normal, &straight), subset, options.damped)?;
+        costs.push(here.cost);
+        let damped = options.damped && promised >= PROMISING.0.max(PROMISING.1 * here.cost);
+        let next = descend(frame, effects, (&state, &here), (&normal, &straight), subset, damped)?;
         let gained = next.as_ref().map_or(0.0, |(_, e)| here.cost - e.cost);
         let least = options.tolerance.max(CONVERGED * here.cost);
         // Old derivatives may be what stops the descent, where they do not see its end themselves.
         let at_the_end = fresh && (next.is_none() || promised <= least);
-        lately.rotate_left(1);
-        lately[PATIENCE - 1] = gained;
-        let in_vain = lately.iter().sum::<f64>() <= least;
         if let Some((s, e)) = next {
             (state, here) = (s, e);
             fresh = false;
         }
+        let in_vain = costs.iter().nth_back(PATIENCE - 1).is_some_and(|before| before - here.cost <= least);
         if in_vain || gained <= least && (at_the_end || step >= options.renew) {
             break;
         }
@@ -318,7 +318,7 @@ fn descend(
         (evaluation.cost < cost).then_some((candidate, evaluation))
     };
     let found = [1.0, 0.35, 0.1].into_iter().find_map(|scale| lower(straight, scale));
-    if found.is_some() || !damped || normal.promised(straight) < PROMISING.0.max(PROMISING.1 * cost) {
+    if found.is_some() || !damped {
         return Ok(found);
     }
     Ok(DAMPING.into_iter().find_map(|damping| lower(&normal.step(damping).ok()?, 1.0)))

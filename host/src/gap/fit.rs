@@ -263,20 +263,17 @@ pub fn fit(
     for step in 0..options.steps {
         let linear = whiten(frame, subset, &columns, &here);
         let normal = normal_equations(frame, effects, &state, &shape, &linear, subset);
-        let straight = normal.step([0.0; 2])?;
-        let promised = normal.promised(&straight);
-        let damped = options.damped && promised >= PROMISING.0.max(PROMISING.1 * here.cost);
-        let next = descend(frame, effects, (&state, &here), (&normal, &straight), subset, damped)?;
+        let next = descend(frame, effects, (&state, &here), &normal, subset, options.damped)?;
         let gained = next.as_ref().map_or(0.0, |(_, e)| here.cost - e.cost);
-        let least = options.tolerance.max(CONVERGED * here.cost);
-        // Old derivatives may be what stops the descent, where they do not see its end themselves.
-        let at_the_end = fresh && (next.is_none() || promised <= least);
         if let Some((s, e)) = next {
             (state, here) = (s, e);
             fresh = false;
         }
-        if gained <= least && (at_the_end || step >= options.renew) {
-            break;
+        if gained <= options.tolerance.max(CONVERGED * here.cost) {
+            // Old derivatives may be what stops the descent.
+            if fresh || step >= options.renew {
+                break;
+            }
         }
         if step < options.renew {
             columns = derivatives(frame, effects, &state, subset, &here)?;
@@ -290,9 +287,7 @@ pub fn fit(
 /// A step that promises more than this, nats, and more than this part of the cost, and lowers nothing however short, was misled by
 /// derivatives that hold nearby only.
 const PROMISING: (f64, f64) = (20.0, 5e-3);
-/// A fit ends where a step gains less than this part of its cost, and promised no more. Where steps promise hundreds of nats, the path's
-/// derivatives mislead, but many small gains lead somewhere: ended after three or four of them, pads and ballast mass that act together
-/// (trial 7 of seed 7) were not found.
+/// A fit ends where a step gains less than this part of its cost.
 const CONVERGED: f64 = 1e-3;
 /// Damping of the steps tried then, relative to the curvature along each unknown: of the path, of the others. The path's derivatives
 /// are those of the site's first world, and the first to mislead.
@@ -303,18 +298,20 @@ fn descend(
     frame: &Frame,
     effects: &[&dyn Effect],
     (state, here): (&State, &Evaluation),
-    (normal, straight): (&Normal, &Step),
+    normal: &Normal,
     subset: &[usize],
     damped: bool,
 ) -> Result<Option<(State, Evaluation)>, GapError> {
     let cost = here.cost;
+    let straight = normal.step([0.0; 2])?;
     let lower = |step: &Step, scale: f64| {
         let candidate = moved(frame, effects, state, step, scale, subset);
         let evaluation = Evaluation::new(frame, effects, &candidate, (subset, here.detail)).ok()?;
         (evaluation.cost < cost).then_some((candidate, evaluation))
     };
-    let found = [1.0, 0.35, 0.1].into_iter().find_map(|scale| lower(straight, scale));
-    if found.is_some() || !damped {
+    let found = [1.0, 0.35, 0.1].into_iter().find_map(|scale| lower(&straight, scale));
+    let promised = 0.5 * dot(&straight.joint, &normal.vector);
+    if found.is_some() || !damped || promised < PROMISING.0.max(PROMISING.1 * cost) {
         return Ok(found);
     }
     Ok(DAMPING.into_iter().find_map(|damping| lower(&normal.step(damping).ok()?, 1.0)))
@@ -456,12 +453,6 @@ impl Normal {
         let joint = factor.solve(&self.vector);
         let own_m = self.own.iter().map(|o| (o.value - dot(&o.coupling, &joint)) / o.precision).collect();
         Ok(Step { joint, own_m })
-    }
-
-    /// What a straight step takes off the cost if the model is linear.
-    fn promised(&self, straight: &Step) -> f64 {
-        let own = self.own.iter().map(|o| o.value * o.value / o.precision);
-        0.5 * (dot(&straight.joint, &self.vector) + own.sum::<f64>())
     }
 }
 

@@ -51,7 +51,8 @@ fn reference_voided_sleepers_are_named() {
 
 #[test]
 fn reference_wheel_out_of_roundness_is_named() {
-    assert_named("wheel-out-of-roundness");
+    let found = assert_named("wheel-out-of-roundness");
+    assert!(found.gap.after < tolerance::WAVES_GAP, "{:?}", found.gap);
 }
 
 #[test]

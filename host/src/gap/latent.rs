@@ -11,6 +11,7 @@ use super::forward::Response;
 use super::linear::BogieResponses;
 use super::variation::{Shapes, Variation};
 use super::world::World;
+use crate::signal::{dot, irfft, rfft, rfft_frequencies_hz, taper};
 use crate::track::Side;
 
 /// What a latent effect may look at.
@@ -162,8 +163,18 @@ impl<'a> Scene<'a> {
         passages[passages.len() / 2]
     }
 
+    /// What wheels add to windows, as far as the recordings of the training passages bear it out, and the same over the whole recordings:
+    /// what a wheel does that leaves the rail over a flat is less than its linear response.
+    pub fn of_wheels(&self, mut windows: Vec<Vec<Vec<f64>>>) -> (Vec<Vec<Vec<f64>>>, Vec<Vec<f64>>) {
+        let of_training = self.train.iter().flat_map(|i| self.residuals[*i].iter().zip(&windows[*i]));
+        let part = borne_out(of_training);
+        windows.iter_mut().flatten().flatten().for_each(|value| *value *= part);
+        let traces = self.spread(&windows).into_iter().map(without_slow).collect();
+        (windows, traces)
+    }
+
     /// Spreads window contributions over the recordings.
-    pub fn spread(&self, windows: &[Vec<Vec<f64>>]) -> Vec<Vec<f64>> {
+    fn spread(&self, windows: &[Vec<Vec<f64>>]) -> Vec<Vec<f64>> {
         self.observed
             .iter()
             .zip(&self.traces)
@@ -212,6 +223,30 @@ impl<'a> Scene<'a> {
     }
 }
 
+/// Part of what windows are thought to hold that lowers their squares the most, at most all of it.
+fn borne_out<'w>(windows: impl Iterator<Item = (&'w Vec<f64>, &'w Vec<f64>)>) -> f64 {
+    let (both, own) = windows.fold((0.0, 0.0), |(both, own), (y, w)| (both + dot(y, w), own + dot(w, w)));
+    (both / f64::max(own, f64::MIN_POSITIVE)).clamp(0.0, 1.0)
+}
+
+/// What shapes of wheels do is nothing below the first frequency, and whole above the second, Hz: a wheel sits on springs too soft to press
+/// the track more slowly, and waves around it have 23 Hz and more. Windows end before what is in them has died away; integrated twice, such an end
+/// is a deflection of the sleeper of several times what there is.
+const SLOW_HZ: [f64; 2] = [10.0, 20.0];
+
+/// A signal at [`RATE_HZ`] without what is slower than wheels' shapes are.
+fn without_slow(mut signal: Vec<f64>) -> Vec<f64> {
+    let (len, n) = (signal.len(), (2 * signal.len()).next_multiple_of(2));
+    signal.resize(n, 0.0);
+    let mut spectrum = rfft(&signal);
+    for (value, f) in spectrum.iter_mut().zip(rfft_frequencies_hz(n, RATE_HZ)) {
+        *value *= 1.0 - taper(f, SLOW_HZ[0], SLOW_HZ[1]);
+    }
+    let mut out = irfft(&spectrum, n);
+    out.truncate(len);
+    out
+}
+
 /// ln(1 − share + share · e^gain), without overflow.
 pub fn mixed(share: f64, gain: f64) -> f64 {
     let top = gain.max(0.0);
@@ -244,4 +279,36 @@ pub fn times(matrix: &Mat<f64>, vector: &[f64]) -> Vec<f64> {
         }
     }
     out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::measure::displacement;
+    use super::*;
+
+    /// A wave of 60 Hz in a window that ends in the middle of it: 1 m/s² is 7 µm.
+    #[test]
+    fn regress_end_of_a_window_is_no_deflection() {
+        let tau = std::f64::consts::TAU;
+        let inside = |k: usize| (400..550).contains(&k);
+        let wave = |k: usize| (tau * 60.0 * (k - 400) as f64 / RATE_HZ).sin();
+        let trace: Vec<f64> = (0..1200).map(|k| if inside(k) { wave(k) } else { 0.0 }).collect();
+        let largest = |v: &[f64]| displacement(v).iter().fold(0.0, |l: f64, d| l.max(d.abs()));
+        assert!(largest(&trace) > 30e-6, "{}", largest(&trace));
+        let kept = without_slow(trace);
+        assert!((6e-6..15e-6).contains(&largest(&kept)), "{}", largest(&kept));
+        assert!((425..525).all(|k| (kept[k] - wave(k)).abs() < 0.15));
+    }
+
+    #[test]
+    fn analytic_part_that_is_borne_out() {
+        let (shape, beside) = (vec![2.0, 0.0, 1.0], vec![0.0, 5.0, 0.0]);
+        let recorded =
+            |part: f64| -> Vec<f64> { shape.iter().zip(&beside).map(|(s, b)| part * s + b).collect() };
+        for (part, expected) in [(0.4, 0.4), (1.3, 1.0), (-0.2, 0.0)] {
+            let recorded = recorded(part);
+            let found = borne_out([(&recorded, &shape)].into_iter());
+            assert!((found - expected).abs() < 1e-12, "{part}: {found}");
+        }
+    }
 }

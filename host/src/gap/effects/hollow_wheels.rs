@@ -104,6 +104,7 @@ impl Latent for HollowWheels {
                 list
             })
             .collect();
+        let (windows, traces) = scene.of_wheels(windows);
         let shown = Shown::simulated(scene)?;
         Some(LatentFit {
             apart: false,
@@ -111,8 +112,8 @@ impl Latent for HollowWheels {
             parameters: two.parameters(learnt.len(), &shown),
             decay_s: None,
             wheel_share: Some(two.share),
-            traces: scene.spread(&windows),
             windows,
+            traces,
         })
     }
 }

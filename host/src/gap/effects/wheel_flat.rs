@@ -103,6 +103,7 @@ impl Latent for WheelFlat {
             .into_par_iter()
             .map(|i| windows(scene, i, &paths, area, share))
             .collect();
+        let (windows, traces) = scene.of_wheels(windows);
         Some(LatentFit {
             apart: false,
             gain: net,
@@ -117,8 +118,8 @@ impl Latent for WheelFlat {
             ],
             decay_s: None,
             wheel_share: Some(share),
-            traces: scene.spread(&windows),
             windows,
+            traces,
         })
     }
 }

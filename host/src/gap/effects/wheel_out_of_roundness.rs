@@ -98,9 +98,8 @@ impl Latent for WheelOutOfRoundness {
             return None;
         }
         let (lower, upper) = interval(scene, order, share, amplitude, score);
-        let windows =
-            (0..scene.observed.len()).map(|i| windows(scene, i, order, amplitude, share)).collect::<Vec<_>>();
-        let traces = scene.spread(&windows);
+        let windows = (0..scene.observed.len()).map(|i| windows(scene, i, order, amplitude, share)).collect();
+        let (windows, traces) = scene.of_wheels(windows);
         let order = f64::from(order);
         Some(LatentFit {
             apart: false,

@@ -163,9 +163,10 @@ impl<'a> Scene<'a> {
         passages[passages.len() / 2]
     }
 
-    /// What wheels add to windows, as far as the recordings of the training passages bear it out, and the same over the whole recordings:
-    /// what a wheel does that leaves the rail over a flat is less than its linear response.
-    pub fn of_wheels(&self, mut windows: Vec<Vec<Vec<f64>>>) -> (Vec<Vec<Vec<f64>>>, Vec<Vec<f64>>) {
+    /// What shapes around wheels add to windows, as far as the recordings of the training passages bear it out, and the same over the whole
+    /// recordings: what a wheel does that leaves the rail over a flat is less than its linear response. Not for what wheels have in common,
+    /// of which the model has its part already: hollow ones are borne out by too little.
+    pub fn around_wheels(&self, mut windows: Vec<Vec<Vec<f64>>>) -> (Vec<Vec<Vec<f64>>>, Vec<Vec<f64>>) {
         let of_training = self.train.iter().flat_map(|i| self.residuals[*i].iter().zip(&windows[*i]));
         let part = borne_out(of_training);
         windows.iter_mut().flatten().flatten().for_each(|value| *value *= part);
@@ -174,7 +175,7 @@ impl<'a> Scene<'a> {
     }
 
     /// Spreads window contributions over the recordings.
-    fn spread(&self, windows: &[Vec<Vec<f64>>]) -> Vec<Vec<f64>> {
+    pub fn spread(&self, windows: &[Vec<Vec<f64>>]) -> Vec<Vec<f64>> {
         self.observed
             .iter()
             .zip(&self.traces)
@@ -229,8 +230,8 @@ fn borne_out<'w>(windows: impl Iterator<Item = (&'w Vec<f64>, &'w Vec<f64>)>) ->
     (both / f64::max(own, f64::MIN_POSITIVE)).clamp(0.0, 1.0)
 }
 
-/// What shapes of wheels do is nothing below the first frequency, and whole above the second, Hz: a wheel sits on springs too soft to press
-/// the track more slowly, and waves around it have 23 Hz and more. Windows end before what is in them has died away; integrated twice, such an end
+/// What shapes around wheels do is nothing below the first frequency, and whole above the second, Hz: a wheel sits on springs too soft to
+/// press the track more slowly, and waves around it have 23 Hz and more. Windows end before what is in them has died away; integrated twice, such an end
 /// is a deflection of the sleeper of several times what there is.
 const SLOW_HZ: [f64; 2] = [10.0, 20.0];
 

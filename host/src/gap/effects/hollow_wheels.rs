@@ -104,7 +104,6 @@ impl Latent for HollowWheels {
                 list
             })
             .collect();
-        let (windows, traces) = scene.of_wheels(windows);
         let shown = Shown::simulated(scene)?;
         Some(LatentFit {
             apart: false,
@@ -112,8 +111,8 @@ impl Latent for HollowWheels {
             parameters: two.parameters(learnt.len(), &shown),
             decay_s: None,
             wheel_share: Some(two.share),
+            traces: scene.spread(&windows),
             windows,
-            traces,
         })
     }
 }

@@ -103,7 +103,7 @@ impl Latent for WheelFlat {
             .into_par_iter()
             .map(|i| windows(scene, i, &paths, area, share))
             .collect();
-        let (windows, traces) = scene.of_wheels(windows);
+        let (windows, traces) = scene.around_wheels(windows);
         Some(LatentFit {
             apart: false,
             gain: net,

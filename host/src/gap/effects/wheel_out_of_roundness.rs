@@ -99,7 +99,7 @@ impl Latent for WheelOutOfRoundness {
         }
         let (lower, upper) = interval(scene, order, share, amplitude, score);
         let windows = (0..scene.observed.len()).map(|i| windows(scene, i, order, amplitude, share)).collect();
-        let (windows, traces) = scene.of_wheels(windows);
+        let (windows, traces) = scene.around_wheels(windows);
         let order = f64::from(order);
         Some(LatentFit {
             apart: false,

@@ -171,9 +171,10 @@ impl Qemu {
         self.child.try_wait().ok().flatten().map(|status| status.success())
     }
 
+    /// A connection, closed at once: the socket is there a moment before QEMU listens, and who connects in between is refused.
     fn wait_for_socket(&mut self) -> Result<(), QemuError> {
         let deadline = Instant::now() + START_PATIENCE;
-        while !socket_path(&self.dir).exists() {
+        while self.address().open().is_err() {
             if self.ended().is_some() {
                 return Err(QemuError::Failed { what: "ended at once", log: self.log() });
             }

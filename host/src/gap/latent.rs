@@ -1,7 +1,7 @@
 //! Effects that differ from wheel to wheel or from passage to passage: their size is a parameter, their phase, place or
 //! sign is drawn anew every time and found in the recording itself, like the axle times.
 
-use faer::Mat;
+use faer::{Mat, c64};
 use rayon::prelude::*;
 
 use super::data::{Observed, RATE_HZ};
@@ -11,7 +11,7 @@ use super::forward::Response;
 use super::linear::BogieResponses;
 use super::variation::{Shapes, Variation};
 use super::world::World;
-use crate::signal::{dot, irfft, rfft, rfft_frequencies_hz, taper};
+use crate::signal::{dot, filtered, taper};
 use crate::track::Side;
 
 /// What a latent effect may look at.
@@ -170,7 +170,7 @@ impl<'a> Scene<'a> {
         let of_training = self.train.iter().flat_map(|i| self.residuals[*i].iter().zip(&windows[*i]));
         let part = borne_out(of_training);
         windows.iter_mut().flatten().flatten().for_each(|value| *value *= part);
-        let traces = self.spread(&windows).into_iter().map(without_slow).collect();
+        let traces = self.spread(&windows).iter().map(|trace| without_slow(trace)).collect();
         (windows, traces)
     }
 
@@ -231,21 +231,13 @@ fn borne_out<'w>(windows: impl Iterator<Item = (&'w Vec<f64>, &'w Vec<f64>)>) ->
 }
 
 /// What shapes around wheels do is nothing below the first frequency, and whole above the second, Hz: a wheel sits on springs too soft to
-/// press the track more slowly, and waves around it have 23 Hz and more. Windows end before what is in them has died away; integrated twice, such an end
-/// is a deflection of the sleeper of several times what there is.
+/// press the track more slowly, and waves around it have 23 Hz and more. Windows end before what is in them has died away; integrated
+/// twice, such an end is a deflection of the sleeper of several times what there is.
 const SLOW_HZ: [f64; 2] = [10.0, 20.0];
 
 /// A signal at [`RATE_HZ`] without what is slower than wheels' shapes are.
-fn without_slow(mut signal: Vec<f64>) -> Vec<f64> {
-    let (len, n) = (signal.len(), (2 * signal.len()).next_multiple_of(2));
-    signal.resize(n, 0.0);
-    let mut spectrum = rfft(&signal);
-    for (value, f) in spectrum.iter_mut().zip(rfft_frequencies_hz(n, RATE_HZ)) {
-        *value *= 1.0 - taper(f, SLOW_HZ[0], SLOW_HZ[1]);
-    }
-    let mut out = irfft(&spectrum, n);
-    out.truncate(len);
-    out
+fn without_slow(signal: &[f64]) -> Vec<f64> {
+    filtered(signal, RATE_HZ, |f| c64::new(1.0 - taper(f, SLOW_HZ[0], SLOW_HZ[1]), 0.0))
 }
 
 /// ln(1 − share + share · e^gain), without overflow.
@@ -296,7 +288,7 @@ mod tests {
         let trace: Vec<f64> = (0..1200).map(|k| if inside(k) { wave(k) } else { 0.0 }).collect();
         let largest = |v: &[f64]| displacement(v).iter().fold(0.0, |l: f64, d| l.max(d.abs()));
         assert!(largest(&trace) > 30e-6, "{}", largest(&trace));
-        let kept = without_slow(trace);
+        let kept = without_slow(&trace);
         assert!((6e-6..15e-6).contains(&largest(&kept)), "{}", largest(&kept));
         assert!((425..525).all(|k| (kept[k] - wave(k)).abs() < 0.15));
     }

@@ -60,6 +60,9 @@ pub fn stated_noise_m_s2(sensor: &Sensor) -> f64 {
     (2.0 * BAND_HZ[1] / sensor.sample_rate_hz).min(1.0).sqrt() * sensor.noise_rms_m_s2
 }
 
+/// Steps of the baseline are this many times as large as what is left of them behind the train, after some of their decay times.
+const STEP_LEFT: f64 = 4.0;
+
 /// Where a window lies, metres of travel of the front axle: first, length.
 pub fn window_m(pattern: &AxlePattern, sensor_along_m: f64, axle_spacing_m: f64) -> (f64, f64) {
     let bogies: Vec<f64> = pattern.offset_m.iter().step_by(2).copied().collect();
@@ -126,6 +129,15 @@ impl Observed {
         })
     }
 
+    /// Largest acceleration, m/s², that is not of the train: what shows before it comes, and steps of the baseline by what they leave
+    /// behind it.
+    pub fn on_top_m_s2(&self) -> f64 {
+        let [before, behind] = self.quiet_ends();
+        let level_m_s2 = |end: &QuietEnd| crate::signal::mean(&end.value_m_s2);
+        let largest_m_s2 = before.value_m_s2.iter().fold(0.0, |l: f64, v| l.max(v.abs()));
+        largest_m_s2 + STEP_LEFT * (level_m_s2(&behind) - level_m_s2(&before)).abs()
+    }
+
     /// Delay of the recording behind a prediction at which both agree best, s, among `range_m` of travel in both directions.
     pub fn lag(&self, response: &Response, gain: f64, range_m: f64) -> f64 {
         let step_s = LAG_STEP / RATE_HZ;
@@ -150,13 +162,13 @@ impl Observed {
         self.bogie_m.iter().map(|m| m / self.speed_m_s).collect()
     }
 
-    /// The whole train, from 8 m before its first axle to 8 m behind its last: recorder time of the first value, values at
     /// Part of the bogies' windows that is above `m_s2` in magnitude.
     pub fn share_above(&self, m_s2: f64) -> f64 {
         let values = || self.windows.iter().flatten();
         values().filter(|a| a.abs() > m_s2).count() as f64 / values().count().max(1) as f64
     }
 
+    /// The whole train, from 8 m before its first axle to 8 m behind its last: recorder time of the first value, values at
     /// [`RATE_HZ`].
     pub fn trace(&self) -> (f64, Vec<f64>) {
         let last = self.bogie_m.last().copied().unwrap_or(0.0);

@@ -357,6 +357,7 @@ impl<'a> Session<'a> {
     ) -> Self {
         let left_in = |name: &str| !options.exclude.iter().any(|e| e == name);
         let largest_m_s2 = base.frame.observed.iter().map(|o| o.recording.max_m_s2).fold(0.0, f64::max);
+        let on_top_m_s2 = base.frame.observed.iter().map(|o| o.on_top_m_s2()).fold(0.0, f64::max);
         let mut session = Self {
             split,
             search,
@@ -364,7 +365,7 @@ impl<'a> Session<'a> {
             linear: None,
             voids_formed: false,
             hammer: options.hammer.as_ref(),
-            hints: Hints { largest_m_s2 },
+            hints: Hints { largest_m_s2, on_top_m_s2 },
             common: COMMON.iter().copied().filter(|e| left_in(e.name())).collect(),
             latent: LATENT.iter().copied().filter(|e| left_in(e.name())).collect(),
             accepted: Vec::new(),

@@ -108,6 +108,8 @@ pub enum Witness {
 pub struct Hints {
     /// Largest |acceleration| in any recording, m/s².
     pub largest_m_s2: f64,
+    /// What the recorder itself may have put on top of that, m/s²: interference, and steps of the baseline.
+    pub on_top_m_s2: f64,
 }
 
 /// Error of most coordinates.

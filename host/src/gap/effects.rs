@@ -95,7 +95,7 @@ mod tests {
 
     #[test]
     fn property_starts_lie_inside_the_ranges_and_far_ones_on_both_sides_of_nought() {
-        let hints = Hints { largest_m_s2: 100.0 };
+        let hints = Hints { largest_m_s2: 100.0, on_top_m_s2: 0.0 };
         for effect in COMMON {
             let far = effect.far_starts(&hints);
             for start in effect.starts(&hints).iter().chain(&far) {

@@ -20,6 +20,7 @@ pub mod linear;
 pub mod measure;
 pub mod node_stage;
 pub mod open_bed;
+mod prospect;
 pub mod receptance;
 pub mod results;
 pub mod select;

@@ -13,7 +13,7 @@ mod settled;
 
 pub use recall::{Recall, simulate};
 pub use screening::{Direction, Screening, screen};
-pub use settled::{replaced, settled};
+pub use settled::{cost_in_place, replaced, settled};
 
 use faer::linalg::solvers::{Llt, Solve as _};
 use faer::{Mat, MatRef};
@@ -129,6 +129,13 @@ impl State {
             shift_m: vec![0.0; frame.observed.len()],
             effects: Vec::new(),
         }
+    }
+
+    /// The same with the parameters of further effects.
+    pub fn with(&self, coordinates: impl IntoIterator<Item = Vec<f64>>) -> Self {
+        let mut more = self.clone();
+        more.effects.extend(coordinates);
+        more
     }
 
     /// Ballast parameters, kept within what a simulation bears.

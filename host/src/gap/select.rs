@@ -4,6 +4,7 @@ use super::GapError;
 use super::effect::{Effect, Hints};
 use super::fit::{Fit, FitOptions, Frame, Screening, State, fit, replaced, screen};
 use super::forward::Detail;
+use super::prospect::promising;
 use faer::Mat;
 use faer::linalg::solvers::Solve as _;
 use rayon::prelude::*;
@@ -215,25 +216,19 @@ fn candidate(
 ) -> Option<Fit> {
     let effect = *list.last()?;
     if effect.nought().is_some() && all_starts.len() == 1 {
-        return fit(frame, list, started(state, &all_starts[start]), subset, SMOOTH).ok();
+        return fit(frame, list, state.with([all_starts[start].clone()]), subset, SMOOTH).ok();
     }
     let nominal = crate::ballast::BallastParameters::NOMINAL.to_vector();
     let mut states = vec![state.clone()];
     if (state.ballast[0] - nominal[0]).abs() > FAR {
         states.push(state.on_nominal_ballast());
     }
-    let all: Vec<State> = states.iter().flat_map(|s| all_starts.iter().map(|c| started(s, c))).collect();
+    let all: Vec<State> =
+        states.iter().flat_map(|s| all_starts.iter().map(|c| s.with([c.clone()]))).collect();
     let few = few_of(subset);
     let scouts = all.into_par_iter().filter_map(|s| fit(frame, list, s, &few, SCOUT).ok());
     let best = scouts.max_by(by_evidence)?;
     fit(frame, list, best.state, subset, FitOptions::THOROUGH).ok()
-}
-
-/// A state with the parameters of one more effect.
-fn started(state: &State, coordinates: &[f64]) -> State {
-    let mut from = state.clone();
-    from.effects.push(coordinates.to_vec());
-    from
 }
 
 /// Fit from a start with the passages where that predicts them.
@@ -247,7 +242,7 @@ pub(super) fn fit_in_place(
     fit(frame, list, replaced(frame, list, start, (subset, options.detail)), subset, options).ok()
 }
 
-/// Such fits from all far starts of the last effect of `list`, with those starts.
+/// Such fits from the promising ones of the far starts of the last effect of `list`, with those starts.
 pub(super) fn from_far_starts(
     frame: &Frame,
     state: &State,
@@ -257,10 +252,10 @@ pub(super) fn from_far_starts(
     options: FitOptions,
 ) -> Vec<(Vec<f64>, Fit)> {
     let starts = list.last().map_or_else(Vec::new, |e| e.far_starts(hints));
-    starts
+    promising(frame, (list, state), starts, (subset, options.detail))
         .into_par_iter()
         .filter_map(|c| {
-            let fit = fit_in_place(frame, list, started(state, &c), subset, options)?;
+            let fit = fit_in_place(frame, list, state.with([c.clone()]), subset, options)?;
             Some((c, fit))
         })
         .collect()

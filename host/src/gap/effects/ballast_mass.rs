@@ -47,6 +47,10 @@ impl Effect for BallastMass {
         vec![vec![0.0], vec![4.0], vec![12.0]]
     }
 
+    fn far_starts(&self, hints: &Hints) -> Vec<Vec<f64>> {
+        self.starts(hints).into_iter().chain([vec![8.0], vec![18.0]]).collect()
+    }
+
     fn nought(&self) -> Option<Vec<f64>> {
         Some(vec![0.0])
     }

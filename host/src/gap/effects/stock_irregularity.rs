@@ -70,10 +70,10 @@ impl Effect for StockIrregularity {
     }
 
     fn far_starts(&self, _hints: &Hints) -> Vec<Vec<f64>> {
-        // Half a dip apart, so that one of them overlaps with any dip; off one of 2.9 mm wheels jump, where shallow ones do not lead.
-        let shallow = (-7..=7).map(|k| vec![3.0, 0.27 * f64::from(k), 0.0]);
-        let deep = (-4..=4).map(|k| vec![8.0, 0.45 * f64::from(k), 0.0]);
-        shallow.chain(deep).collect()
+        // Off a dip of 2.9 mm wheels jump, so that it agrees with the recordings within 0.05 m of its place only: neither shallow ones
+        // nor such a one 0.2 m away lead there.
+        let at = |depth: f64| (-18..=18).map(move |k| vec![depth, 0.1 * f64::from(k), 0.0]);
+        at(3.0).chain(at(6.0)).chain(at(9.5)).collect()
     }
 
     fn apply(&self, world: &mut World, values: &[f64]) {

@@ -78,13 +78,27 @@ impl State {
 
 /// A state with every passage of `subset` where it agrees best with that state's own prediction, or as it is where that is more
 /// probable: a model that is far off has put passages a wave too early or too late, from where no fit leads back.
-pub fn replaced(
+pub fn replaced(frame: &Frame, effects: &[&dyn Effect], state: State, passages: (&[usize], Detail)) -> State {
+    in_place(frame, effects, &state, passages).map_or(state, |(placed, _)| placed)
+}
+
+/// Negative log posterior of a state with the passages where they agree best with it; infinite where it cannot be simulated.
+pub fn cost_in_place(
     frame: &Frame,
     effects: &[&dyn Effect],
-    state: State,
+    state: &State,
+    passages: (&[usize], Detail),
+) -> f64 {
+    in_place(frame, effects, state, passages).map_or(f64::INFINITY, |(_, cost)| cost)
+}
+
+fn in_place(
+    frame: &Frame,
+    effects: &[&dyn Effect],
+    state: &State,
     (subset, detail): (&[usize], Detail),
-) -> State {
-    let Ok(here) = Evaluation::new(frame, effects, &state, (subset, detail)) else { return state };
+) -> Option<(State, f64)> {
+    let here = Evaluation::new(frame, effects, state, (subset, detail)).ok()?;
     let mut moved = state.clone();
     for (i, response) in subset.iter().zip(&here.responses) {
         let o = &frame.observed[*i];
@@ -92,8 +106,8 @@ pub fn replaced(
         moved.shift_m[*i] = o.speed_m_s * o.lag(response, gain, ALIGN_M);
     }
     match Evaluation::new(frame, effects, &moved, (subset, detail)) {
-        Ok(there) if there.cost < here.cost => moved,
-        _ => state,
+        Ok(there) if there.cost < here.cost => Some((moved, there.cost)),
+        _ => Some((state.clone(), here.cost)),
     }
 }
 

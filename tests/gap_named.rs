@@ -218,6 +218,35 @@ fn regress_two_effects_that_show_only_together_are_both_named() {
     assert!(found.gap.closed_fraction > tolerance::TOGETHER_CLOSED, "{:?}", found.gap);
 }
 
+/// Off a dip this deep wheels jump: starts 0.45 m apart passed it by, and pads and a mount were named.
+#[test]
+fn regress_a_deep_dip_is_found_between_the_starts() {
+    let mut scenario = trial(35, 117, &["stock-irregularity", "bias-step"]);
+    let (depth_m, at_x_m) = (2.906e-3, 0.725);
+    let stock_irregularity = Some(StockIrregularity { depth_m, at_x_m, length_m: 0.4 });
+    scenario.simulation.effects = Effects { stock_irregularity, ..Effects::default() };
+    let found = among(&few(&scenario), &["stock-irregularity", "pad-stiffness", "mount-resonance"]);
+    assert_eq!(named(&found), ["stock-irregularity"], "{:?} {:?}", found.verdict, found.remarks);
+    for ((name, _, low, high), truth) in found.effects[0].parameters.iter().zip([depth_m, at_x_m]) {
+        assert!(*low < truth && truth < *high, "{name}: {low} … {high}, {truth}");
+    }
+}
+
+/// Beside this much ballast such a dip leads nowhere, nor does that ballast beside the dip: nothing was named.
+#[test]
+fn regress_a_deep_dip_over_moving_ballast_is_found_with_it() {
+    let both = ["stock-irregularity", "ballast-mass"];
+    let mut scenario = trial(35, 27, &["axle-load", "support-loss"]);
+    let stock_irregularity = Some(StockIrregularity { depth_m: 2.906e-3, at_x_m: 1.17, length_m: 0.4 });
+    let ballast_mass = Some(BallastMass { mass_kg_m: 777.3 });
+    scenario.simulation.effects = Effects { stock_irregularity, ballast_mass, ..Effects::default() };
+    let found = among(&few(&scenario), &both);
+    let mut named = named(&found);
+    named.sort_unstable();
+    assert_eq!(named, ["ballast-mass", "stock-irregularity"], "{:?} {:?}", found.verdict, found.remarks);
+    assert!(found.gap.closed_fraction > tolerance::DEEP_DIP_CLOSED, "{:?}", found.gap);
+}
+
 /// Moving ballast of less than 50 kg/m was refused for its size although it gained most, and soft pads or another crossing rail came next.
 #[test]
 fn regress_light_moving_ballast_is_named() {

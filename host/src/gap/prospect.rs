@@ -12,11 +12,6 @@ const MOST: usize = 8;
 /// Starts nearer to a better one than this in all that is no size lie in its valley, standard deviations of the prior: dips 0.18 m apart.
 const SAME_VALLEY: f64 = 0.15;
 
-/// Whether an effect has so many far starts that they are looked at before fits begin there.
-pub(super) fn many_starts(effect: &dyn Effect, hints: &Hints) -> bool {
-    effect.far_starts(hints).len() > MOST
-}
-
 /// The starts of the last effect of `list` that agree best with the passages of `subset` as they are, none in the valley of a better
 /// one; all of them where they are few. `state` is without that effect.
 pub(super) fn promising(
@@ -45,20 +40,8 @@ pub(super) fn promising_pairs<'e>(
     hints: &Hints,
     passages: (&[usize], Detail),
 ) -> Vec<Pair<'e>> {
-    let of_many: Vec<&'e dyn Effect> = effects.iter().copied().filter(|e| many_starts(*e, hints)).collect();
-    let starts_of = |e: &&'e dyn Effect| e.far_starts(hints);
-    let pairs: Vec<Pair<'e>> = of_many
-        .iter()
-        .flat_map(|of_many| {
-            let others = effects.iter().filter(|e| e.name() != of_many.name());
-            others.flat_map(move |e| {
-                let both = starts_of(e)
-                    .into_iter()
-                    .flat_map(move |a| starts_of(of_many).into_iter().map(move |b| [a.clone(), b]));
-                both.map(move |starts| ([*e, *of_many], starts))
-            })
-        })
-        .collect();
+    let of_many = effects.iter().copied().filter(|e| e.far_starts(hints).len() > MOST);
+    let pairs: Vec<Pair<'e>> = of_many.flat_map(|e| pairs_with(e, effects, hints)).collect();
     let looked_at = pairs.into_par_iter().filter_map(|(pair, starts)| {
         let there = state.with(starts.clone());
         let linear = there.world(frame, &pair).bed.is_linear();
@@ -67,6 +50,20 @@ pub(super) fn promising_pairs<'e>(
     apart(looked_at.collect(), |(better, a), (pair, b)| {
         better[0].name() == pair[0].name() && same_valley(pair[1], &a[1], &b[1])
     })
+}
+
+/// All starts of an effect beside those of all others; where another is nought there is no pair.
+fn pairs_with<'e>(of_many: &'e dyn Effect, effects: &[&'e dyn Effect], hints: &Hints) -> Vec<Pair<'e>> {
+    let mut out = Vec::new();
+    for other in effects.iter().copied().filter(|e| e.name() != of_many.name()) {
+        let there =
+            other.far_starts(hints).into_iter().filter(|start| other.nought().as_ref() != Some(start));
+        for start in there {
+            let both = of_many.far_starts(hints).into_iter().map(|many| [start.clone(), many]);
+            out.extend(both.map(|starts| ([other, of_many], starts)));
+        }
+    }
+    out
 }
 
 /// The cheapest first, without those that lie in the valley of a better one; as many as are worth fits.

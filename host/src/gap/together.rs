@@ -112,7 +112,7 @@ fn at_once<'e>(
         .filter_map(|(pair, starts)| {
             Some((pair, fit_in_place(frame, &pair, state.with(starts), &few, SCOUT)?))
         })
-        .min_by(by_misfit)
+        .max_by(|a, b| by_evidence(&a.1, &b.1))
 }
 
 /// The deepest valleys of single effects, as far as they are deeper than where the model is lost, each fitted to all passages.

@@ -54,13 +54,12 @@ pub(super) fn promising_pairs<'e>(
 
 /// All starts of an effect beside those of all others; where another is nought there is no pair.
 fn pairs_with<'e>(of_many: &'e dyn Effect, effects: &[&'e dyn Effect], hints: &Hints) -> Vec<Pair<'e>> {
+    let places = of_many.far_starts(hints);
     let mut out = Vec::new();
     for other in effects.iter().copied().filter(|e| e.name() != of_many.name()) {
-        let there =
-            other.far_starts(hints).into_iter().filter(|start| other.nought().as_ref() != Some(start));
-        for start in there {
-            let both = of_many.far_starts(hints).into_iter().map(|many| [start.clone(), many]);
-            out.extend(both.map(|starts| ([other, of_many], starts)));
+        let starts = other.far_starts(hints);
+        for start in starts.iter().filter(|start| other.nought().as_ref() != Some(*start)) {
+            out.extend(places.iter().map(|place| ([other, of_many], [start.clone(), place.clone()])));
         }
     }
     out

@@ -32,9 +32,19 @@ pub fn together<'e>(
     hints: &Hints,
     subset: &[usize],
 ) -> Option<Found<'e>> {
-    let mut best = from_valleys(frame, lost, alone, hints, subset);
-    if !best.as_ref().is_some_and(promises) {
-        best = best.into_iter().chain(at_once(frame, lost, alone, hints, subset)).min_by(by_misfit);
+    let few = few_of(subset);
+    let effects: Vec<&'e dyn Effect> = alone.iter().map(|t| t.effect).collect();
+    let from_valleys = deepest(frame, lost, alone, subset)
+        .into_iter()
+        .map(|(first, valley)| beside(frame, (first, &valley.state.on_the_scan()), &effects, hints, &few));
+    let nominal = lost.state.on_nominal_ballast();
+    let from_starts = std::iter::once_with(|| at_once(frame, &nominal, &effects, hints, &few));
+    let mut best: Option<Found<'e>> = None;
+    for scouted in from_valleys.chain(from_starts) {
+        best = best.into_iter().chain(scouted).min_by(by_misfit);
+        if best.as_ref().is_some_and(|(_, fit)| fit.inflation() < PROMISING) {
+            break;
+        }
     }
     let (pair, scouted) = best?;
     let fit = freed(frame, &pair, scouted.state, subset)?;
@@ -62,59 +72,48 @@ fn freed(frame: &Frame, pair: &[&dyn Effect], start: State, subset: &[usize]) ->
     Some(best)
 }
 
-fn promises((_, fit): &Found) -> bool {
-    fit.inflation() < PROMISING
-}
-
 fn by_misfit(a: &Found, b: &Found) -> std::cmp::Ordering {
     a.1.inflation().total_cmp(&b.1.inflation())
 }
 
-/// A second effect, scouted from the valleys of single ones.
-fn from_valleys<'e>(
+fn by_probability(a: &Found, b: &Found) -> std::cmp::Ordering {
+    by_evidence(&a.1, &b.1)
+}
+
+/// A second effect, scouted from the valley of a first one.
+fn beside<'e>(
     frame: &Frame,
-    lost: &Fit,
-    alone: &[Tried<'e>],
+    (first, valley): (&'e dyn Effect, &State),
+    effects: &[&'e dyn Effect],
     hints: &Hints,
-    subset: &[usize],
+    few: &[usize],
 ) -> Option<Found<'e>> {
-    let few = few_of(subset);
-    let mut best: Option<Found<'e>> = None;
-    for (first, valley) in deepest(frame, lost, alone, subset) {
-        let state = valley.state.on_the_scan();
-        let others = alone.par_iter().map(|t| t.effect).filter(|e| e.name() != first.name());
-        let scouted = others
-            .filter_map(|e| {
-                let pair = [first, e];
-                Some((pair, most_probable(from_far_starts(frame, &state, &pair, hints, &few, SCOUT))?))
-            })
-            .max_by(|a, b| by_evidence(&a.1, &b.1));
-        best = best.into_iter().chain(scouted).min_by(by_misfit);
-        if best.as_ref().is_some_and(promises) {
-            break;
-        }
-    }
-    best
+    effects
+        .par_iter()
+        .filter(|e| e.name() != first.name())
+        .filter_map(|e| {
+            let pair = [first, *e];
+            Some((pair, most_probable(from_far_starts(frame, valley, &pair, hints, few, SCOUT))?))
+        })
+        .max_by(by_probability)
 }
 
 /// Both scouted from where both start, where that agrees best as it is.
 fn at_once<'e>(
     frame: &Frame,
-    lost: &Fit,
-    alone: &[Tried<'e>],
+    state: &State,
+    effects: &[&'e dyn Effect],
     hints: &Hints,
-    subset: &[usize],
+    few: &[usize],
 ) -> Option<Found<'e>> {
-    let (few, state) = (few_of(subset), lost.state.on_nominal_ballast());
-    let effects: Vec<&'e dyn Effect> = alone.iter().map(|t| t.effect).collect();
     // One passage tells the best of thousands.
-    let one = &few[few.len() / 2..][..few.len().min(1)];
-    promising_pairs(frame, &state, &effects, hints, (one, SCOUT.detail))
+    let one: Vec<usize> = few.get(few.len() / 2).copied().into_iter().collect();
+    promising_pairs(frame, state, effects, hints, (&one, SCOUT.detail))
         .into_par_iter()
         .filter_map(|(pair, starts)| {
-            Some((pair, fit_in_place(frame, &pair, state.with(starts), &few, SCOUT)?))
+            Some((pair, fit_in_place(frame, &pair, state.with(starts), few, SCOUT)?))
         })
-        .max_by(|a, b| by_evidence(&a.1, &b.1))
+        .max_by(by_probability)
 }
 
 /// The deepest valleys of single effects, as far as they are deeper than where the model is lost, each fitted to all passages.

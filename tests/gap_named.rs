@@ -10,7 +10,7 @@ use cpcm::scenario::effects::{
     Mount, PadStiffness, Saturation, StockIrregularity, Tonal, VoidedSleepers, WheelFlats,
     WheelOutOfRoundness,
 };
-use cpcm::scenario::{Effects, read_scenario};
+use cpcm::scenario::{Effects, Scenario, read_scenario};
 use cpcm_tests::diagnosed::{among, few, full, named, quick, recorded, says, trial};
 use cpcm_tests::tolerance;
 
@@ -203,19 +203,30 @@ fn regress_what_some_passages_deny_is_not_named() {
     assert_eq!(found.verdict, Verdict::NoGap, "{:?} {:?}", found.effects, found.remarks);
 }
 
-/// Neither a dip in the stock rail nor ballast that moves with the sleepers leaves a lost model less lost without the other.
-#[test]
-fn regress_two_effects_that_show_only_together_are_both_named() {
-    let both = ["stock-irregularity", "ballast-mass"];
-    let mut scenario = trial(27, 47, &both);
-    let stock_irregularity = Some(StockIrregularity { depth_m: 0.626e-3, at_x_m: 0.33, length_m: 0.4 });
+/// A dip in the stock rail over much ballast that moves with the sleepers: both are named, and close the gap by more than `closed`.
+fn assert_dip_and_ballast_are_named(mut scenario: Scenario, (depth_m, at_x_m): (f64, f64), closed: f64) {
+    let stock_irregularity = Some(StockIrregularity { depth_m, at_x_m, length_m: 0.4 });
     let ballast_mass = Some(BallastMass { mass_kg_m: 777.3 });
     scenario.simulation.effects = Effects { stock_irregularity, ballast_mass, ..Effects::default() };
-    let found = among(&few(&scenario), &both);
+    let found = among(&few(&scenario), &["stock-irregularity", "ballast-mass"]);
     let mut named = named(&found);
     named.sort_unstable();
     assert_eq!(named, ["ballast-mass", "stock-irregularity"], "{:?} {:?}", found.verdict, found.remarks);
-    assert!(found.gap.closed_fraction > tolerance::TOGETHER_CLOSED, "{:?}", found.gap);
+    assert!(found.gap.closed_fraction > closed, "{:?}", found.gap);
+}
+
+/// Neither a dip in the stock rail nor ballast that moves with the sleepers leaves a lost model less lost without the other.
+#[test]
+fn regress_two_effects_that_show_only_together_are_both_named() {
+    let scenario = trial(27, 47, &["stock-irregularity", "ballast-mass"]);
+    assert_dip_and_ballast_are_named(scenario, (0.626e-3, 0.33), tolerance::TOGETHER_CLOSED);
+}
+
+/// Beside this much ballast a dip this deep leads nowhere, nor does that ballast beside the dip: nothing was named.
+#[test]
+fn regress_a_deep_dip_over_moving_ballast_is_found_with_it() {
+    let scenario = trial(35, 27, &["axle-load", "support-loss"]);
+    assert_dip_and_ballast_are_named(scenario, (2.906e-3, 1.17), tolerance::DEEP_DIP_CLOSED);
 }
 
 /// Off a dip this deep wheels jump: starts 0.45 m apart passed it by, and pads and a mount were named.
@@ -230,21 +241,6 @@ fn regress_a_deep_dip_is_found_between_the_starts() {
     for ((name, _, low, high), truth) in found.effects[0].parameters.iter().zip([depth_m, at_x_m]) {
         assert!(*low < truth && truth < *high, "{name}: {low} … {high}, {truth}");
     }
-}
-
-/// Beside this much ballast such a dip leads nowhere, nor does that ballast beside the dip: nothing was named.
-#[test]
-fn regress_a_deep_dip_over_moving_ballast_is_found_with_it() {
-    let both = ["stock-irregularity", "ballast-mass"];
-    let mut scenario = trial(35, 27, &["axle-load", "support-loss"]);
-    let stock_irregularity = Some(StockIrregularity { depth_m: 2.906e-3, at_x_m: 1.17, length_m: 0.4 });
-    let ballast_mass = Some(BallastMass { mass_kg_m: 777.3 });
-    scenario.simulation.effects = Effects { stock_irregularity, ballast_mass, ..Effects::default() };
-    let found = among(&few(&scenario), &both);
-    let mut named = named(&found);
-    named.sort_unstable();
-    assert_eq!(named, ["ballast-mass", "stock-irregularity"], "{:?} {:?}", found.verdict, found.remarks);
-    assert!(found.gap.closed_fraction > tolerance::DEEP_DIP_CLOSED, "{:?}", found.gap);
 }
 
 /// Moving ballast of less than 50 kg/m was refused for its size although it gained most, and soft pads or another crossing rail came next.

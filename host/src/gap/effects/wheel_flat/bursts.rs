@@ -1,0 +1,207 @@
+//! What flats add to the windows, at every place around the wheel: linear, which is quick and tells whether any are there, and simulated,
+//! which knows that a wheel does not follow its flat.
+
+use faer::Mat;
+use rayon::prelude::*;
+
+use crate::gap::data::{Observed, RATE_HZ};
+use crate::gap::forward::{Detail, Simulator};
+use crate::gap::latent::{Scene, times};
+use crate::passage::WheelFlat as Flat;
+
+/// Places around the wheel that are tried.
+const PLACES: usize = 48;
+/// Areas tried, m²: factors of 1.15 from 0.5 mm² on (a flat of 15 mm).
+const AREAS: (f64, f64, usize) = (0.5e-6, 1.15, 48);
+/// Places for each that is simulated, an odd number: 12 mm apart, a tenth of a wave of 300 Hz.
+const BETWEEN: usize = 5;
+/// Factors tried of a simulated flat: 0.2 to 4.
+const PARTS: (f64, f64, usize) = (0.2, 1.0647, 48);
+/// A wheel that only differs more than usual does so over lengths like this, metres.
+const BROAD_M: f64 = 0.5;
+/// Through the crossing, every wheel's own path makes bursts too, beyond what is linear in its depth and shift. A flat that
+/// meets the rail there says nothing by its linear response: metres from x = 0 on either side of the middle of the transition.
+const CROSSING_M: (f64, f64) = (0.3, 0.75);
+/// Lengths simulated, metres.
+pub(super) const LENGTHS_M: [f64; 7] = [0.02, 0.03, 0.04, 0.05, 0.065, 0.08, 0.1];
+
+/// What flats of one size add to the windows of all passages, front and rear, at every place around the wheel.
+#[derive(Clone)]
+pub(super) struct Bursts {
+    pub(super) windows: Vec<[Vec<Vec<f64>>; 2]>,
+    /// Factors of it that are tried: first, ratio, number.
+    factors: (f64, f64, usize),
+}
+
+impl Bursts {
+    /// Linear responses to flats of unit area.
+    pub(super) fn linear(scene: &Scene) -> Self {
+        Self::of_paths(scene, 0.0)
+    }
+
+    /// The same to what wheels without flats differ by.
+    pub(super) fn broad(scene: &Scene) -> Self {
+        Self::of_paths(scene, BROAD_M)
+    }
+
+    fn of_paths(scene: &Scene, broad_m: f64) -> Self {
+        let paths = paths(scene, broad_m);
+        let of = |profile: &Mat<f64>| paths.iter().map(|p| times(profile, p)).collect();
+        let windows = scene.responses.par_iter().map(|r| r.profile.each_ref().map(of)).collect();
+        Self { windows, factors: AREAS }
+    }
+
+    /// Simulated: what a wheel does that does not follow its flat.
+    pub(super) fn simulated(scene: &Scene, length_m: f64) -> Option<Self> {
+        let turn_m = std::f64::consts::TAU * scene.world.crossing.vehicle.wheel_radius_m;
+        let places: Vec<f64> = (0..PLACES).map(|p| p as f64 / PLACES as f64 * turn_m).collect();
+        let beside_m = |j: usize| (at(j, BETWEEN) / PLACES as f64) * turn_m;
+        let of = |o: &Observed| -> Option<[Vec<Vec<f64>>; 2]> {
+            let simulator = Simulator::in_detail(scene.world, o.axle_load_kg, Detail::Scouting).ok()?;
+            let plain = simulator.response(o.speed_m_s).ok()?;
+            let one = |axle: usize, at_m: f64| -> Option<Vec<Vec<f64>>> {
+                let flat = flat(scene, length_m, at_m);
+                let added = simulator.with_flat(axle, flat).response(o.speed_m_s).ok()?.less(&plain, 1.0);
+                // Over some centimetres a flat does the same, later.
+                let later = |j: usize| -> Vec<f64> {
+                    let first_s = o.first_s - beside_m(j) / o.speed_m_s;
+                    (0..o.mean.len()).map(|k| added.at(first_s + k as f64 / RATE_HZ)).collect()
+                };
+                Some((0..BETWEEN).map(later).collect())
+            };
+            let axle = |axle: usize| -> Option<Vec<Vec<f64>>> {
+                let places: Option<Vec<Vec<Vec<f64>>>> =
+                    places.par_iter().map(|at_m| one(axle, *at_m)).collect();
+                Some(places?.into_iter().flatten().collect())
+            };
+            Some([axle(0)?, axle(1)?])
+        };
+        let windows = scene.observed.iter().map(of).collect::<Option<Vec<_>>>()?;
+        Some(Self { windows, factors: PARTS })
+    }
+
+    /// Places that say nothing: those inside the crossing, unless the flats are simulated there.
+    pub(super) fn mute(&self, scene: &Scene) -> Vec<bool> {
+        if self.between() > 1 { vec![false; PLACES * self.between()] } else { self.inside_crossing(scene) }
+    }
+
+    /// Places around the wheel at which a flat meets the rail inside the crossing.
+    pub(super) fn inside_crossing(&self, scene: &Scene) -> Vec<bool> {
+        let turn_m = std::f64::consts::TAU * scene.world.crossing.vehicle.wheel_radius_m;
+        let middle = scene.world.crossing.traffic_direction.sign() * CROSSING_M.0;
+        let inside = |p: usize| {
+            let at_m = at(p, self.between()) / PLACES as f64 * turn_m;
+            let from = (at_m - middle + 0.5 * turn_m).rem_euclid(turn_m) - 0.5 * turn_m;
+            from.abs() < CROSSING_M.1
+        };
+        (0..PLACES * self.between()).map(inside).collect()
+    }
+
+    /// How far beside the linear or the last simulated flats those of each length are: lengths, and factors that grow with them. A wheel
+    /// does not follow a long flat, so they grow more slowly than ℓ³.
+    pub(super) fn curve(&self, scene: &Scene) -> Option<Vec<(f64, f64)>> {
+        factors_of_lengths(scene, self)
+    }
+
+    /// Places for one that is simulated.
+    fn between(&self) -> usize {
+        self.windows.first().map_or(1, |[front, _]| front.len() / PLACES)
+    }
+
+    pub(super) fn factors(&self) -> Vec<f64> {
+        let (first, ratio, number) = self.factors;
+        (0..number).map(|i| first * ratio.powi(i as i32)).collect()
+    }
+}
+
+/// Where the place of an index is, in steps from the first of those that are simulated, where there are some `between` two of them.
+fn at(index: usize, between: usize) -> f64 {
+    (index as f64 + 0.5) / between as f64 - 0.5
+}
+
+fn flat(scene: &Scene, length_m: f64, at_m: f64) -> Flat {
+    let radius_m = scene.world.crossing.vehicle.wheel_radius_m;
+    Flat { depth_m: length_m * length_m / (8.0 * radius_m), length_m, at_m }
+}
+
+/// Coefficients of the path of a flat of unit area at every place, or of a bump `broad_m` long instead.
+fn paths(scene: &Scene, broad_m: f64) -> Vec<Vec<f64>> {
+    let turn_m = std::f64::consts::TAU * scene.world.crossing.vehicle.wheel_radius_m;
+    let direction = scene.world.crossing.traffic_direction.sign();
+    let deviation = &scene.world.path.deviation;
+    let knots = deviation.knots();
+    (0..PLACES)
+        .map(|p| {
+            let at = p as f64 / PLACES as f64 * turn_m;
+            knots
+                .iter()
+                .map(|(side, x)| {
+                    let step = deviation.step_m(*side);
+                    // From the nearest of the places that are a whole turn apart.
+                    let from = (direction * x - at + 0.5 * turn_m).rem_euclid(turn_m) - 0.5 * turn_m;
+                    let half = step.max(0.5 * broad_m);
+                    (1.0 - from.abs() / half).max(0.0) / half
+                })
+                .collect()
+        })
+        .collect()
+}
+
+/// Factor of a flat of unit size that does what a flat of each length does: a wheel does not follow a long flat, so it grows more slowly
+/// than ℓ³.
+fn factors_of_lengths(scene: &Scene, bursts: &Bursts) -> Option<Vec<(f64, f64)>> {
+    let middle = scene.of_middle_speed((0..scene.observed.len()).collect());
+    let o = &scene.observed[middle];
+    let simulator = Simulator::new(scene.world, o.axle_load_kg).ok()?;
+    let here = simulator.response(o.speed_m_s).ok()?;
+    let turn_m = std::f64::consts::TAU * scene.world.crossing.vehicle.wheel_radius_m;
+    // Where the flat meets the rail beside the sensor and away from the crossing's own impact.
+    let (places, between) = ([PLACES / 6, 3 * PLACES / 4], bursts.between());
+    let curve = LENGTHS_M
+        .into_par_iter()
+        .map(|length_m| {
+            let (mut product, mut power) = (0.0, 0.0);
+            for place in places {
+                let flat = flat(scene, length_m, place as f64 / PLACES as f64 * turn_m);
+                let changed = simulator.with_flat(0, flat).response(o.speed_m_s).ok()?.less(&here, 1.0);
+                for (k, c) in bursts.windows[middle][0][place * between + between / 2].iter().enumerate() {
+                    product += c * changed.at(o.first_s + k as f64 / RATE_HZ);
+                    power += c * c;
+                }
+            }
+            Some((length_m, (product / power.max(f64::MIN_POSITIVE)).max(0.0)))
+        })
+        .collect::<Option<Vec<_>>>()?;
+    // Ascending, so that it can be inverted.
+    let mut largest = 0.0;
+    Some(
+        curve
+            .into_iter()
+            .map(|(l, a)| {
+                largest = f64::max(1.001 * largest, a);
+                (l, largest)
+            })
+            .collect(),
+    )
+}
+
+/// Length on the curve, by powers between and beyond its points.
+pub(super) fn length_of(curve: &[(f64, f64)], area: f64) -> f64 {
+    let above = curve.iter().position(|(_, a)| *a >= area).unwrap_or(curve.len() - 1).max(1);
+    let ((l0, a0), (l1, a1)) = (curve[above - 1], curve[above]);
+    let slope = ((l1 / l0).ln() / (a1 / a0.max(1e-12)).ln()).clamp(0.1, 2.0);
+    l1 * (area / a1).powf(slope)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn analytic_length_between_points_of_a_cubic_curve() {
+        let curve: Vec<(f64, f64)> = LENGTHS_M.iter().map(|l| (*l, l.powi(3) / 7.36)).collect();
+        for length in [0.025_f64, 0.047, 0.09] {
+            assert!((length_of(&curve, length.powi(3) / 7.36) / length - 1.0).abs() < 1e-9);
+        }
+    }
+}

@@ -131,6 +131,10 @@ pub const BESIDE_STEPS_CLOSED: f64 = 0.97;
 pub const STEPS_BESIDE_VOIDS_CLOSED: f64 = 0.85;
 /// Part of the gap that flats of 63 mm close: 0.7; without bound they were withdrawn.
 pub const FLATS_CLOSED: f64 = 0.4;
+/// Length of simulated flats, relative: −3 to +7 % on seven sites.
+pub const FLAT_LENGTH: f64 = 0.12;
+/// Share of the wheels that have them: 0.3, 0.4, 0.5 and 0.7 are told apart.
+pub const FLAT_SHARE: f64 = 0.11;
 /// Gap of known-wheel-out-of-roundness with its waves in the model: 0.173; 0.217 where the ends of windows were deflections.
 pub const WAVES_GAP: f64 = 0.19;
 /// Size and decay of steps of the baseline, relative: found to 1.5 % where nothing else is wrong with the model.

@@ -131,7 +131,7 @@ pub const BESIDE_STEPS_CLOSED: f64 = 0.97;
 pub const STEPS_BESIDE_VOIDS_CLOSED: f64 = 0.85;
 /// Part of the gap that flats of 63 mm close: 0.7; without bound they were withdrawn.
 pub const FLATS_CLOSED: f64 = 0.4;
-/// Length of simulated flats, relative: −3 to +7 % on seven sites.
+/// Length of flats, relative: −3 to +5 % on four sites of trials, −21 % on one beside a mount.
 pub const FLAT_LENGTH: f64 = 0.12;
 /// Share of the wheels that have them: 0.3, 0.4, 0.5 and 0.7 are told apart.
 pub const FLAT_SHARE: f64 = 0.11;

@@ -31,7 +31,8 @@ const ROUNDS: usize = 2;
 const MOST_INSIDE: f64 = 0.75;
 /// Cost of choosing area and share, nats.
 const CHOICE: f64 = 6.0;
-/// The linear response and the shape of the flat let the length not be known better than this, relative.
+/// What is not in the model with the flats, and their shape, let the length not be known better than this, relative: simulated ones came
+/// out 3 % short to 5 % long on four sites of trials, and 21 % short beside a mount.
 const LENGTH_ERROR: f64 = 0.18;
 
 impl Latent for WheelFlat {

@@ -432,7 +432,7 @@ fn regress_flats_are_named_beside_steps_of_the_baseline() {
         wheel_flat: Some(flats),
         ..Effects::default()
     };
-    let found = among(&recorded(&scenario), &["bias-step", "wheel-flat"]);
+    let found = among(&few(&scenario), &["bias-step", "wheel-flat"]);
     assert_eq!(named(&found), ["bias-step", "wheel-flat"], "{:?} {:?}", found.verdict, found.remarks);
     let [length_m, share] = [0, 1].map(|k| found.effects[1].parameters[k]);
     let off = (length_m.1 / flats.length_m - 1.0).abs();
@@ -450,6 +450,6 @@ fn regress_what_wheels_differ_by_in_the_crossing_is_no_flat() {
         ballast_mass: Some(BallastMass { mass_kg_m: 65.2 }),
         ..Effects::default()
     };
-    let found = among(&recorded(&scenario), &["wheel-flat"]);
+    let found = among(&few(&scenario), &["wheel-flat"]);
     assert!(named(&found).is_empty(), "{:?} {:?}", found.verdict, found.effects);
 }

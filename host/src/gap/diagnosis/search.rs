@@ -8,7 +8,7 @@ use crate::gap::data::{energies, own_energy};
 use crate::gap::effect::{ActsOn, Effect, Stage};
 use crate::gap::fit::{Fit, FitOptions, State, Whitened, fit, settled, simulate};
 use crate::gap::forward::Response;
-use crate::gap::latent::{LatentFit, Scene};
+use crate::gap::latent::{Latent, LatentFit, Scene};
 use crate::gap::measure::{self, ALIGN_M, Missed};
 use crate::gap::select::{Standing, Tried, fit_in_place, gain, round};
 use crate::gap::world::SensorModel;
@@ -62,7 +62,8 @@ impl Session<'_> {
     /// Takes what shows while no train is near into the model, which need not be right for that.
     pub(super) fn search_apart(&mut self) -> Result<(), GapError> {
         while self.named.len() < MOST_EFFECTS {
-            let mut latent = self.explore()?;
+            // No single wheel is heard without a train.
+            let mut latent = self.explore_those(|e| e.acts_on() == ActsOn::Recordings)?;
             let reference = self.base.fit.clone();
             let mut list = self.candidates(&[], &reference, &latent)?;
             list.retain(|c| c.apart && c.full && c.gain > LEAST_GAIN);
@@ -218,6 +219,11 @@ impl Session<'_> {
     }
 
     pub(super) fn explore(&mut self) -> Result<Vec<Explored>, GapError> {
+        self.explore_those(|_| true)
+    }
+
+    /// Looks for those effects of single wheels or recordings that are wanted.
+    fn explore_those(&mut self, wanted: impl Fn(&dyn Latent) -> bool) -> Result<Vec<Explored>, GapError> {
         let state = self.state();
         let world = state.world(&self.base.frame, &self.accepted);
         let all: Vec<usize> = (0..self.base.frame.observed.len()).collect();
@@ -238,7 +244,7 @@ impl Session<'_> {
         let found = self
             .latent
             .iter()
-            .filter(|e| !known.contains(&e.name()))
+            .filter(|e| !known.contains(&e.name()) && wanted(**e))
             .map(|e| (*e, e.explore(&scene)))
             .map(|(e, f)| {
                 let moved = f.as_ref().map_or(0.0, |f| displacement_share(&scene, f));

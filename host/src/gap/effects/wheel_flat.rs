@@ -61,14 +61,14 @@ impl Latent for WheelFlat {
         let found = found.simulated(scene)?;
         let net = found.score - broad - CHOICE;
         let curve = found.bursts.curve(scene)?;
-        let (lower, upper) = found.interval();
-        let windows: Vec<Vec<Vec<f64>>> =
-            (0..scene.observed.len()).into_par_iter().map(|i| found.windows(i)).collect();
-        let (windows, traces) = scene.around_wheels(windows);
         let at = |factor: f64| length_of(&curve, factor);
         if at(found.factor) < LENGTHS_M[0] || found.inside_crossing(scene) > MOST_INSIDE {
             return None;
         }
+        let (lower, upper) = found.interval();
+        let windows: Vec<Vec<Vec<f64>>> =
+            (0..scene.observed.len()).into_par_iter().map(|i| found.windows(i)).collect();
+        let (windows, traces) = scene.around_wheels(windows);
         let (length_m, share) = (at(found.factor), found.share);
         Some(LatentFit {
             apart: false,

@@ -16,7 +16,7 @@ const AREAS: (f64, f64, usize) = (0.5e-6, 1.15, 48);
 /// Places for each that is simulated, an odd number: 12 mm apart, a tenth of a wave of 300 Hz.
 const BETWEEN: usize = 5;
 /// Factors tried of a simulated flat: 0.2 to 4.
-const PARTS: (f64, f64, usize) = (0.2, 1.0647, 48);
+const FACTORS: (f64, f64, usize) = (0.2, 1.0647, 48);
 /// A wheel that only differs more than usual does so over lengths like this, metres.
 const BROAD_M: f64 = 0.5;
 /// Through the crossing, every wheel's own path makes bursts too, beyond what is linear in its depth and shift. A flat that
@@ -26,7 +26,6 @@ const CROSSING_M: (f64, f64) = (0.3, 0.75);
 pub(super) const LENGTHS_M: [f64; 7] = [0.02, 0.03, 0.04, 0.05, 0.065, 0.08, 0.1];
 
 /// What flats of one size add to the windows of all passages, front and rear, at every place around the wheel.
-#[derive(Clone)]
 pub(super) struct Bursts {
     pub(super) windows: Vec<[Vec<Vec<f64>>; 2]>,
     /// Factors of it that are tried: first, ratio, number.
@@ -77,7 +76,7 @@ impl Bursts {
             Some([axle(0)?, axle(1)?])
         };
         let windows = scene.observed.iter().map(of).collect::<Option<Vec<_>>>()?;
-        Some(Self { windows, factors: PARTS })
+        Some(Self { windows, factors: FACTORS })
     }
 
     /// Places that say nothing: those inside the crossing, unless the flats are simulated there.

@@ -151,15 +151,24 @@ pub struct WheelFlat {
 }
 
 impl WheelFlat {
+    /// Fresh flat of a length, a chord of a wheel of radius `radius_m`.
+    pub fn fresh(length_m: f64, at_m: f64, radius_m: f64) -> Self {
+        Self { depth_m: length_m * length_m / (8.0 * radius_m), length_m, at_m }
+    }
+
     /// Depth at rolled distance `s_m` of a wheel of radius `radius_m`.
     pub fn at(&self, s_m: f64, radius_m: f64) -> f64 {
-        let circumference = std::f64::consts::TAU * radius_m;
-        let from = (s_m - self.at_m + 0.5 * circumference).rem_euclid(circumference) - 0.5 * circumference;
+        let from = from_nearest(s_m - self.at_m, std::f64::consts::TAU * radius_m);
         if from.abs() >= 0.5 * self.length_m {
             return 0.0;
         }
         0.5 * self.depth_m * (1.0 + (std::f64::consts::TAU * from / self.length_m).cos())
     }
+}
+
+/// Distance from the nearest of places that are a whole turn apart, one of them `from_m` away; all in metres.
+pub fn from_nearest(from_m: f64, turn_m: f64) -> f64 {
+    (from_m + 0.5 * turn_m).rem_euclid(turn_m) - 0.5 * turn_m
 }
 
 #[cfg(test)]

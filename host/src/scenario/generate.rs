@@ -375,9 +375,8 @@ fn wheel_defects(effects: &Effects, pair: &mut [crate::passage::Wheel], radius_m
         }
     }
     if let Some(f) = effects.wheel_flat.filter(|f| flat < f.share) {
-        let depth_m = f.length_m * f.length_m / (8.0 * radius_m);
         for wheel in pair.iter_mut() {
-            wheel.flat = Some(WheelFlat { depth_m, length_m: f.length_m, at_m });
+            wheel.flat = Some(WheelFlat::fresh(f.length_m, at_m, radius_m));
         }
     }
     if let Some(h) = effects.hollow_wheels.filter(|h| hollow < h.share) {

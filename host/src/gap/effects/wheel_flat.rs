@@ -3,8 +3,8 @@
 //! The wheel drops into it once per turn, anywhere along the track, so the burst is tied neither to the nose nor to other
 //! wheels: that tells it from everything that belongs to the panel, and its shortness from a wave around the wheel. Both
 //! wheels of a wheelset lock together. A flat is shorter than the waves in the band, so at first only its area ℓ³/(16R) is looked
-//! for, by the linear response; a wheel does not follow a long one, so what that finds is told by simulated flats, and its length with it. Lengths from 20 mm (nothing
-//! shows below) to 100 mm (out of service at 60 mm in most rule books).
+//! for, by the linear response; a wheel does not follow a long one, so what that finds is told by simulated flats, and its
+//! length with it. Lengths from 20 mm (nothing shows below) to 100 mm (out of service at 60 mm in most rule books).
 
 mod bursts;
 mod shown;
@@ -13,7 +13,7 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
-use self::bursts::{Bursts, LENGTHS_M, length_of};
+use self::bursts::{Bursts, LENGTHS_M, factors_of_lengths, length_of};
 use self::shown::{OfBogie, Seen, Shown, seen};
 use crate::gap::effect::{Advice, Stage};
 use crate::gap::latent::{Latent, LatentFit, SHARES, Scene};
@@ -60,7 +60,7 @@ impl Latent for WheelFlat {
         }
         let found = found.simulated(scene)?;
         let net = found.score - broad - CHOICE;
-        let curve = found.bursts.curve(scene)?;
+        let curve = factors_of_lengths(scene, &found.bursts)?;
         let at = |factor: f64| length_of(&curve, factor);
         if at(found.factor) < LENGTHS_M[0] || found.inside_crossing(scene) > MOST_INSIDE {
             return None;
@@ -124,7 +124,7 @@ impl Found {
         let of_train = |seen: &[Seen]| scene.train.iter().map(|i| seen[*i].log_likelihood()).sum::<f64>();
         let plain = of_train(&self.seen);
         for _ in 0..ROUNDS {
-            let length_m = length_of(&self.bursts.curve(scene)?, self.factor);
+            let length_m = length_of(&factors_of_lengths(scene, &self.bursts)?, self.factor);
             let length_m = length_m.clamp(LENGTHS_M[0], LENGTHS_M[LENGTHS_M.len() - 1]);
             let bursts = Arc::new(Bursts::simulated(scene, length_m)?);
             let found = OWN_PARTS.iter().filter_map(|part| {

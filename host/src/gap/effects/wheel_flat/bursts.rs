@@ -8,6 +8,7 @@ use crate::gap::data::{Observed, RATE_HZ};
 use crate::gap::forward::{Detail, Simulator};
 use crate::gap::latent::{Scene, times};
 use crate::passage::WheelFlat as Flat;
+use crate::passage::surface::from_nearest;
 
 /// Places around the wheel that are tried.
 const PLACES: usize = 48;
@@ -52,7 +53,7 @@ impl Bursts {
 
     /// Simulated: what a wheel does that does not follow its flat.
     pub(super) fn simulated(scene: &Scene, length_m: f64) -> Option<Self> {
-        let turn_m = std::f64::consts::TAU * scene.world.crossing.vehicle.wheel_radius_m;
+        let turn_m = turn_m(scene);
         let places: Vec<f64> = (0..PLACES).map(|p| p as f64 / PLACES as f64 * turn_m).collect();
         let beside_m = |j: usize| (at(j, BETWEEN) / PLACES as f64) * turn_m;
         let of = |o: &Observed| -> Option<[Vec<Vec<f64>>; 2]> {
@@ -86,20 +87,13 @@ impl Bursts {
 
     /// Places around the wheel at which a flat meets the rail inside the crossing.
     pub(super) fn inside_crossing(&self, scene: &Scene) -> Vec<bool> {
-        let turn_m = std::f64::consts::TAU * scene.world.crossing.vehicle.wheel_radius_m;
+        let turn_m = turn_m(scene);
         let middle = scene.world.crossing.traffic_direction.sign() * CROSSING_M.0;
         let inside = |p: usize| {
             let at_m = at(p, self.between()) / PLACES as f64 * turn_m;
-            let from = (at_m - middle + 0.5 * turn_m).rem_euclid(turn_m) - 0.5 * turn_m;
-            from.abs() < CROSSING_M.1
+            from_nearest(at_m - middle, turn_m).abs() < CROSSING_M.1
         };
         (0..PLACES * self.between()).map(inside).collect()
-    }
-
-    /// How far beside the linear or the last simulated flats those of each length are: lengths, and factors that grow with them. A wheel
-    /// does not follow a long flat, so they grow more slowly than ℓ³.
-    pub(super) fn curve(&self, scene: &Scene) -> Option<Vec<(f64, f64)>> {
-        factors_of_lengths(scene, self)
     }
 
     /// Places for one that is simulated.
@@ -118,14 +112,18 @@ fn at(index: usize, between: usize) -> f64 {
     (index as f64 + 0.5) / between as f64 - 0.5
 }
 
+/// Circumference of a wheel, metres.
+fn turn_m(scene: &Scene) -> f64 {
+    std::f64::consts::TAU * scene.world.crossing.vehicle.wheel_radius_m
+}
+
 fn flat(scene: &Scene, length_m: f64, at_m: f64) -> Flat {
-    let radius_m = scene.world.crossing.vehicle.wheel_radius_m;
-    Flat { depth_m: length_m * length_m / (8.0 * radius_m), length_m, at_m }
+    Flat::fresh(length_m, at_m, scene.world.crossing.vehicle.wheel_radius_m)
 }
 
 /// Coefficients of the path of a flat of unit area at every place, or of a bump `broad_m` long instead.
 fn paths(scene: &Scene, broad_m: f64) -> Vec<Vec<f64>> {
-    let turn_m = std::f64::consts::TAU * scene.world.crossing.vehicle.wheel_radius_m;
+    let turn_m = turn_m(scene);
     let direction = scene.world.crossing.traffic_direction.sign();
     let deviation = &scene.world.path.deviation;
     let knots = deviation.knots();
@@ -136,8 +134,7 @@ fn paths(scene: &Scene, broad_m: f64) -> Vec<Vec<f64>> {
                 .iter()
                 .map(|(side, x)| {
                     let step = deviation.step_m(*side);
-                    // From the nearest of the places that are a whole turn apart.
-                    let from = (direction * x - at + 0.5 * turn_m).rem_euclid(turn_m) - 0.5 * turn_m;
+                    let from = from_nearest(direction * x - at, turn_m);
                     let half = step.max(0.5 * broad_m);
                     (1.0 - from.abs() / half).max(0.0) / half
                 })
@@ -148,12 +145,12 @@ fn paths(scene: &Scene, broad_m: f64) -> Vec<Vec<f64>> {
 
 /// Factor of a flat of unit size that does what a flat of each length does: a wheel does not follow a long flat, so it grows more slowly
 /// than ℓ³.
-fn factors_of_lengths(scene: &Scene, bursts: &Bursts) -> Option<Vec<(f64, f64)>> {
+pub(super) fn factors_of_lengths(scene: &Scene, bursts: &Bursts) -> Option<Vec<(f64, f64)>> {
     let middle = scene.of_middle_speed((0..scene.observed.len()).collect());
     let o = &scene.observed[middle];
     let simulator = Simulator::new(scene.world, o.axle_load_kg).ok()?;
     let here = simulator.response(o.speed_m_s).ok()?;
-    let turn_m = std::f64::consts::TAU * scene.world.crossing.vehicle.wheel_radius_m;
+    let turn_m = turn_m(scene);
     // Where the flat meets the rail beside the sensor and away from the crossing's own impact.
     let (places, between) = ([PLACES / 6, 3 * PLACES / 4], bursts.between());
     let curve = LENGTHS_M

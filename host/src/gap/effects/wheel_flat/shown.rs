@@ -98,6 +98,7 @@ pub(super) struct Seen {
     windows: Mat<f64>,
 }
 
+/// All passages as they look if wheels differ by `variation`.
 pub(super) fn seen(scene: &Scene, variation: &Variation) -> Vec<Seen> {
     let of = |i: usize| {
         let residuals = &scene.residuals[i];

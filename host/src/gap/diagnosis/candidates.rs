@@ -84,6 +84,8 @@ pub(super) struct Candidate {
     pub(super) acts_on: ActsOn,
     /// Shows while no train is near.
     pub(super) apart: bool,
+    /// Wheels that all show the same, which may be what the model cannot follow.
+    pub(super) alike: bool,
 }
 
 impl Candidate {
@@ -159,6 +161,7 @@ impl Session<'_> {
             }),
             acts_on: ActsOn::Panel,
             apart: false,
+            alike: false,
         }
     }
 
@@ -175,6 +178,7 @@ impl Session<'_> {
             full: false,
             acts_on: effect.acts_on(),
             apart: false,
+            alike: effect.alike(),
         };
         let Some(found) = found else { return nothing };
         let of_wheels = nothing.acts_on == ActsOn::Wheels;
@@ -324,6 +328,7 @@ mod tests {
             full: true,
             acts_on,
             apart: false,
+            alike: false,
         }
     }
 

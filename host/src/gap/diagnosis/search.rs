@@ -34,6 +34,8 @@ pub(super) struct Confirmed {
     pub(super) missed: [Missed; 2],
     pub(super) described: usize,
     accepted: usize,
+    /// See [`Session::adrift`].
+    adrift: bool,
     fit: Option<Fit>,
 }
 
@@ -100,7 +102,7 @@ impl Session<'_> {
     }
 
     /// Whether wheels differ in ways that the model does not know, with an effect of the panel in it: what is looked for on top would
-    /// mend the description of that effect.
+    /// mend the description of that effect, but for wheels with which they do no longer.
     fn adrift(&self) -> bool {
         !self.accepted.is_empty() && self.base.variation.beyond_linear()
     }
@@ -117,6 +119,7 @@ impl Session<'_> {
             missed: self.missed()?,
             described: self.described(),
             accepted: self.accepted.len(),
+            adrift: self.adrift(),
             fit: self.fit.clone(),
         };
         let frame = &self.base.frame;
@@ -143,10 +146,10 @@ impl Session<'_> {
         }
         let misfit: f64 = reference.passages.iter().map(Whitened::squares).sum();
         let rings = self.rings(&reference.state);
-        let (adrift, worn) = (self.adrift(), self.worn());
+        let worn = self.worn();
         for c in &mut list {
             let of_ringing = rings && c.acts_on == ActsOn::Wheels;
-            let of_description = adrift && !c.beside_the_wheels();
+            let of_description = earlier.adrift && !c.beside_the_wheels() && !c.alike;
             let of_mean = worn && c.acts_on == ActsOn::Panel && !c.by_far();
             if of_ringing || of_description || of_mean || !self.worth_naming(c, earlier, misfit) {
                 c.gain = c.gain.min(0.5 * LEAST_GAIN);
@@ -319,8 +322,13 @@ impl Session<'_> {
         measure::missed_by(frame, &world, &latent, &self.split.train)
     }
 
-    /// Whether the effect accepted last takes enough off the residual; if not, it is taken back.
+    /// Whether the effect accepted last takes enough off the residual, or wheels are not adrift any more with it; if not, it is taken
+    /// back.
     fn confirm(&mut self, earlier: &Confirmed, c: &Candidate) -> Result<bool, GapError> {
+        if c.alike && earlier.adrift && self.adrift() {
+            self.withdraw(c.name)?;
+            return Ok(false);
+        }
         let [acceleration, displacement] = self.missed()?;
         let Some(last) = self.named.last_mut() else { return Ok(true) };
         let part = |before: f64, now: f64, floor: f64| {

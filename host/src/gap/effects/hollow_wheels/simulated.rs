@@ -1,0 +1,204 @@
+//! Hollow wheels as simulations show them.
+
+use faer::Mat;
+use faer::linalg::solvers::Llt;
+use rayon::prelude::*;
+
+use super::Hollow;
+use super::bogies::{CASES, Case, Weighed};
+use crate::gap::data::{Observed, RATE_HZ};
+use crate::gap::fit::whitened;
+use crate::gap::forward::{Detail, Response, Simulator};
+use crate::gap::latent::Scene;
+use crate::gap::variation::Variation;
+
+/// What wheels differ by that are not hollow. What a model without hollow ones takes it for is inflated by them.
+const NATURAL: Variation = Variation {
+    noise_m_s2: 0.08,
+    load: 0.01,
+    side_load: 0.005,
+    depth: 0.06,
+    shift_m: 0.012,
+    own_m: 15e-6,
+    own_stock_m: 15e-6,
+};
+/// What hollow wheels differ by from one another, standard deviations: depth, relative, and shift, metres.
+const OWN: (f64, f64) = (0.07, 0.012);
+/// Steps of its derivatives: depth factor and metres.
+const OWN_STEPS: (f64, f64) = (0.15, 0.01);
+/// Depth factors and shifts (metres) looked at first.
+const DEPTHS: [f64; 7] = [0.4, 1.4, 1.8, 2.2, 2.6, 3.0, 3.5];
+const SHIFTS_M: [f64; 9] = [-0.08, -0.06, -0.04, -0.02, 0.0, 0.02, 0.04, 0.06, 0.08];
+/// On so many passages.
+const FEW: usize = 6;
+/// Steps from the best of them, on all training passages: depth factor and metres.
+const STEPS: [(f64, f64); 3] = [(0.2, 0.01), (0.1, 0.005), (0.05, 0.0025)];
+/// Most steps of one size.
+const MOST_STEPS: usize = 4;
+/// Ranges of depth factor, shift (metres) and share.
+const DEPTH_RANGE: [f64; 2] = [0.1, 5.0];
+const SHIFT_RANGE_M: [f64; 2] = [-0.14, 0.14];
+const SHARE_RANGE: [f64; 2] = [0.02, 0.9];
+
+/// Hollow wheels that explain the windows of the training passages best, where `share` of the wheelsets seem to be hollow, and what they add to every window: passage, bogie.
+pub(super) fn simulated(scene: &Scene, share: f64) -> Option<(Hollow, Vec<Vec<Vec<f64>>>)> {
+    let all: Vec<usize> = (0..scene.observed.len()).collect();
+    let views = all.into_par_iter().map(|i| View::of(scene, i)).collect::<Option<Vec<View>>>()?;
+    let train: Vec<&View> = scene.train.iter().map(|i| &views[*i]).collect();
+    let hollow = likeliest(&train, share)?;
+    let windows = views.par_iter().map(|view| view.windows(hollow)).collect::<Option<_>>()?;
+    Some((hollow, windows))
+}
+
+fn likeliest(train: &[&View], share: f64) -> Option<Hollow> {
+    let few: Vec<&View> = train.iter().copied().step_by(train.len().div_ceil(FEW).max(1)).collect();
+    let of_depth =
+        |depth_factor: f64| SHIFTS_M.map(|shift_m| Hollow { depth_factor, shift_m, share }.within());
+    let starts: Vec<Hollow> = DEPTHS.into_iter().flat_map(of_depth).collect();
+    let found: Vec<Likely> = starts.into_par_iter().filter_map(|h| Likely::on(&few, h)).collect();
+    let start = found.into_iter().max_by(|a, b| a.log_likelihood.total_cmp(&b.log_likelihood))?;
+    let mut best = Likely::on(train, start.with_its_share())?;
+    for (depth, shift_m) in STEPS {
+        for _ in 0..MOST_STEPS {
+            let before = best.log_likelihood;
+            for (depth, shift_m) in [(depth, 0.0), (-depth, 0.0), (0.0, shift_m), (0.0, -shift_m)] {
+                let beside = best.with_its_share().moved(depth, shift_m);
+                best = Likely::on(train, beside)
+                    .filter(|l| l.log_likelihood > best.log_likelihood)
+                    .unwrap_or(best);
+            }
+            if best.log_likelihood <= before {
+                break;
+            }
+        }
+    }
+    Some(best.with_its_share())
+}
+
+impl Hollow {
+    fn within(self) -> Self {
+        Self {
+            depth_factor: self.depth_factor.clamp(DEPTH_RANGE[0], DEPTH_RANGE[1]),
+            shift_m: self.shift_m.clamp(SHIFT_RANGE_M[0], SHIFT_RANGE_M[1]),
+            share: self.share.clamp(SHARE_RANGE[0], SHARE_RANGE[1]),
+        }
+    }
+
+    fn moved(self, depth: f64, shift_m: f64) -> Self {
+        Self { depth_factor: self.depth_factor + depth, shift_m: self.shift_m + shift_m, ..self }.within()
+    }
+}
+
+/// How likely hollow wheels are.
+#[derive(Clone, Copy)]
+struct Likely {
+    hollow: Hollow,
+    log_likelihood: f64,
+    /// Share of the wheelsets that they are found on.
+    share: f64,
+}
+
+impl Likely {
+    fn on(views: &[&View], hollow: Hollow) -> Option<Self> {
+        let weigh = |view: &&View| view.weighed(hollow).map(|w| (w.log_likelihood, w.hollow, w.added.len()));
+        let found = views.par_iter().map(weigh).collect::<Option<Vec<_>>>()?;
+        let wheelsets: usize = found.iter().map(|f| 2 * f.2).sum();
+        let found_hollow: f64 = found.iter().map(|f| f.1).sum();
+        let log_likelihood = found.iter().map(|f| f.0).sum();
+        Some(Self { hollow, log_likelihood, share: found_hollow / wheelsets.max(1) as f64 })
+    }
+
+    fn with_its_share(self) -> Hollow {
+        Hollow { share: self.share, ..self.hollow }.within()
+    }
+}
+
+/// A passage as it looks if wheels differ naturally.
+struct View<'a> {
+    observed: &'a Observed,
+    simulator: Simulator,
+    /// Response to wheels that are not hollow.
+    plain: Response,
+    factor: Llt<f64>,
+    /// Whitened, one per bogie.
+    windows: Vec<Vec<f64>>,
+}
+
+impl<'a> View<'a> {
+    fn of(scene: &Scene<'a>, passage: usize) -> Option<Self> {
+        let observed = &scene.observed[passage];
+        let simulator = Simulator::in_detail(scene.world, observed.axle_load_kg, Detail::Scouting).ok()?;
+        let plain = simulator.response(observed.speed_m_s).ok()?;
+        let factor = scene.shapes[passage].factor(&NATURAL)?;
+        let windows = columns(&white(&factor, &scene.residuals[passage]));
+        Some(Self { observed, simulator, plain, factor, windows })
+    }
+
+    /// What the paths of hollow wheelsets add to a window.
+    fn added(&self, hollow: &Simulator) -> Option<Vec<f64>> {
+        let o = self.observed;
+        let added = hollow.response(o.speed_m_s).ok()?.less(&self.plain, 1.0);
+        Some((0..o.mean.len()).map(|k| added.at(o.first_s + k as f64 / RATE_HZ)).collect())
+    }
+
+    /// Simulations of all cases but the first: the front wheelset hollow, the rear one, both.
+    fn simulations(&self, h: Hollow) -> Option<[Vec<f64>; CASES - 1]> {
+        let of = |s: &Simulator, axle: usize| s.with_own_path(axle, h.depth_factor, h.shift_m);
+        let front = of(&self.simulator, 0);
+        Some([self.added(&front)?, self.added(&of(&self.simulator, 1))?, self.added(&of(&front, 1))?])
+    }
+
+    /// Hollow wheels that are all alike.
+    fn weighed(&self, h: Hollow) -> Option<Weighed> {
+        let alike = [const { [].as_slice() }; CASES];
+        Some(Weighed::of(
+            &self.windows,
+            &self.cases(h, &Mat::zeros(self.observed.mean.len(), 0), alike)?,
+            h.share,
+        ))
+    }
+
+    /// Cases with columns of `own`, by their indices.
+    fn cases(&self, h: Hollow, own: &Mat<f64>, of_case: [&[usize]; CASES]) -> Option<[Case; CASES]> {
+        let mut added = vec![vec![0.0; own.nrows()]];
+        added.extend(columns(&white(&self.factor, &self.simulations(h)?)));
+        let list = added.into_iter().zip(of_case).map(|(added, indices)| {
+            Case::new(added, Mat::from_fn(own.nrows(), indices.len(), |k, c| own[(k, indices[c])]))
+        });
+        list.collect::<Vec<_>>().try_into().ok()
+    }
+
+    /// What hollow wheels, which differ from one another as natural ones do, add to the window of every bogie.
+    fn windows(&self, h: Hollow) -> Option<Vec<Vec<f64>>> {
+        let own = white(&self.factor, &self.own(h)?);
+        let cases = self.cases(h, &own, [&[], &[0, 1], &[2, 3], &[0, 1, 2, 3]])?;
+        let weighed = self.weighed(h)?.again(&self.windows, &cases, h.share);
+        let n = self.observed.mean.len();
+        let added = Mat::from_fn(n, weighed.added.len(), |k, b| weighed.added[b][k]);
+        Some(columns(&(self.factor.L() * added)))
+    }
+
+    /// What a window changes by for a standard deviation of depth and shift of the front, then of the rear hollow wheelset.
+    fn own(&self, h: Hollow) -> Option<[Vec<f64>; 4]> {
+        let of = |axle: usize, (depth, shift_m): (f64, f64), sd: f64| {
+            let beside = |sign: f64| {
+                let (depth_factor, shift_m) = (h.depth_factor + sign * depth, h.shift_m + sign * shift_m);
+                self.added(&self.simulator.with_own_path(axle, depth_factor, shift_m))
+            };
+            let size = sd / (2.0 * (depth + shift_m));
+            Some(beside(1.0)?.iter().zip(beside(-1.0)?).map(|(a, b)| size * (a - b)).collect())
+        };
+        let depth = |axle: usize| of(axle, (OWN_STEPS.0, 0.0), OWN.0 * h.depth_factor);
+        let shift = |axle: usize| of(axle, (0.0, OWN_STEPS.1), OWN.1);
+        Some([depth(0)?, shift(0)?, depth(1)?, shift(1)?])
+    }
+}
+
+fn white(factor: &Llt<f64>, windows: &[Vec<f64>]) -> Mat<f64> {
+    let n = windows.first().map_or(0, Vec::len);
+    whitened(factor, &Mat::from_fn(n, windows.len(), |k, c| windows[c][k]))
+}
+
+fn columns(of: &Mat<f64>) -> Vec<Vec<f64>> {
+    (0..of.ncols()).map(|c| of.col_as_slice(c).to_vec()).collect()
+}

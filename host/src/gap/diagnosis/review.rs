@@ -96,6 +96,21 @@ impl Session<'_> {
         if self.latent_fits.is_empty() { Ok(()) } else { self.refit_variation() }
     }
 
+    /// Describes wheels that all show the same again, with what the panel is once they are known: they were found over what their mean
+    /// had made of it.
+    pub(super) fn describe_again(&mut self) -> Result<(), GapError> {
+        let Some(k) = self.latent_fits.iter().position(|(e, _)| e.alike()) else { return Ok(()) };
+        let (effect, before) = self.latent_fits.remove(k);
+        self.give_back(&before);
+        let again = self.explore_those(|e| e.name() == effect.name())?.pop().and_then(|(_, found, _)| found);
+        let found = again.filter(|f| likeness(f, &before) > THE_SAME).unwrap_or(before);
+        for named in self.named.iter_mut().filter(|n| n.name == effect.name()) {
+            named.parameters.clone_from(&found.parameters);
+        }
+        self.take_out(effect, found);
+        self.refit_variation()
+    }
+
     /// Takes back all that the search has named, and the base model over voids, if that is one.
     pub(super) fn forget_search(&mut self) {
         let latent = std::mem::take(&mut self.latent_fits);

@@ -55,6 +55,7 @@ impl Session<'_> {
                 rounds = MOST_EFFECTS - self.named.len().min(MOST_EFFECTS);
             }
         }
+        self.describe_again()?;
         if (self.adrift() || self.worn()) && self.remarks.iter().all(|r| r != ADRIFT) {
             self.remarks.push(ADRIFT.into());
         }
@@ -65,7 +66,9 @@ impl Session<'_> {
     pub(super) fn search_apart(&mut self) -> Result<(), GapError> {
         while self.named.len() < MOST_EFFECTS {
             // No single wheel is heard without a train.
-            let mut latent = self.explore_those(|e| e.acts_on() == ActsOn::Recordings)?;
+            let named: Vec<&str> = self.named.iter().map(|n| n.name).collect();
+            let wanted = |e: &dyn Latent| e.acts_on() == ActsOn::Recordings && !named.contains(&e.name());
+            let mut latent = self.explore_those(wanted)?;
             let reference = self.base.fit.clone();
             let mut list = self.candidates(&[], &reference, &latent)?;
             list.retain(|c| c.apart && c.full && c.gain > LEAST_GAIN);
@@ -221,12 +224,17 @@ impl Session<'_> {
         mount.is_some() && self.base.variation.noisy(sensor)
     }
 
+    /// Looks for effects of single wheels or recordings that are not named yet.
     pub(super) fn explore(&mut self) -> Result<Vec<Explored>, GapError> {
-        self.explore_those(|_| true)
+        let named: Vec<&str> = self.named.iter().map(|n| n.name).collect();
+        self.explore_those(|e| !named.contains(&e.name()))
     }
 
-    /// Looks for those effects of single wheels or recordings that are wanted.
-    fn explore_those(&mut self, wanted: impl Fn(&dyn Latent) -> bool) -> Result<Vec<Explored>, GapError> {
+    /// Looks for those that are wanted.
+    pub(super) fn explore_those(
+        &mut self,
+        wanted: impl Fn(&dyn Latent) -> bool,
+    ) -> Result<Vec<Explored>, GapError> {
         let state = self.state();
         let world = state.world(&self.base.frame, &self.accepted);
         let all: Vec<usize> = (0..self.base.frame.observed.len()).collect();
@@ -243,11 +251,10 @@ impl Session<'_> {
             &late,
             &self.split.train,
         );
-        let known: Vec<&str> = self.named.iter().map(|n| n.name).collect();
         let found = self
             .latent
             .iter()
-            .filter(|e| !known.contains(&e.name()) && wanted(**e))
+            .filter(|e| wanted(**e))
             .map(|e| (*e, e.explore(&scene)))
             .map(|(e, f)| {
                 let moved = f.as_ref().map_or(0.0, |f| displacement_share(&scene, f));
@@ -298,6 +305,10 @@ impl Session<'_> {
             self.refit_variation()?;
         }
         self.named.push(named);
+        // Over a bed that opens, wheels are misjudged until the panel is known without them.
+        if best.alike && !self.state().world(&self.base.frame, &self.accepted).bed.is_linear() {
+            self.describe_again()?;
+        }
         Ok(())
     }
 

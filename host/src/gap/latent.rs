@@ -6,7 +6,6 @@ use rayon::prelude::*;
 
 use super::data::{Observed, RATE_HZ};
 use super::effect::{ActsOn, Advice, Stage};
-use super::fit::whitened;
 use super::forward::Response;
 use super::linear::BogieResponses;
 use super::variation::{Shapes, Variation};
@@ -24,8 +23,6 @@ pub struct Scene<'a> {
     pub residuals: Vec<Vec<Vec<f64>>>,
     /// Linear responses of every passage.
     pub responses: &'a [BogieResponses],
-    /// Whitened views of every passage's wheelsets.
-    pub wheels: Vec<[WheelView; 2]>,
     /// Shapes of the natural variation, per passage.
     pub shapes: &'a [Shapes],
     /// Sizes of the natural variation.
@@ -42,14 +39,6 @@ pub struct Trace {
     pub start_s: f64,
     /// Measured less predicted, at [`RATE_HZ`], m/s².
     pub residual: Vec<f64>,
-}
-
-/// One axle of the bogies of a passage, whitened by the covariance of a bogie's window.
-pub struct WheelView {
-    /// Response to the path under this axle.
-    pub profile: Mat<f64>,
-    /// Residual windows, one column per bogie.
-    pub residual: Mat<f64>,
 }
 
 /// What a latent effect found.
@@ -111,23 +100,6 @@ impl<'a> Scene<'a> {
             .zip(late_s)
             .map(|((o, r), late)| o.window_residuals(r, gain(o), *late))
             .collect();
-        let wheels = (0..observed.len())
-            .into_par_iter()
-            .map(|i| {
-                let factor = shapes[i].factor(variation);
-                [0, 1].map(|axle| {
-                    let n = observed[i].mean.len();
-                    let y = Mat::from_fn(n, residuals[i].len(), |k, c| residuals[i][c][k]);
-                    match &factor {
-                        Some(f) => WheelView {
-                            profile: whitened(f, &responses[i].profile[axle]),
-                            residual: whitened(f, &y),
-                        },
-                        None => WheelView { profile: responses[i].profile[axle].clone(), residual: y },
-                    }
-                })
-            })
-            .collect();
         let traces = observed
             .par_iter()
             .zip(bogies)
@@ -142,7 +114,7 @@ impl<'a> Scene<'a> {
                 Trace { start_s, residual }
             })
             .collect();
-        Self { world, observed, residuals, responses, wheels, shapes, variation: *variation, train, traces }
+        Self { world, observed, residuals, responses, shapes, variation: *variation, train, traces }
     }
 
     /// Values of a function of travelled distance at the knots of the path: along the crossing rail, and on the stock rail

@@ -5,9 +5,11 @@
 
 use std::sync::LazyLock;
 
+use faer::Mat;
 use rayon::prelude::*;
 
 use crate::gap::effect::{Advice, Stage};
+use crate::gap::fit::whitened;
 use crate::gap::latent::{Latent, LatentFit, Scene, best_share, responsibility, times};
 use crate::signal::dot;
 
@@ -76,10 +78,16 @@ impl Latent for WheelOutOfRoundness {
     }
 
     fn explore(&self, scene: &Scene) -> Option<LatentFit> {
+        let views: Vec<[View; 2]> =
+            (0..scene.observed.len()).into_par_iter().map(|i| View::both(scene, i)).collect();
+        let of_train = |order: u32| -> Vec<Shown> {
+            let waves = waves(scene, order);
+            scene.train.iter().flat_map(|i| shown(&views[*i], &waves)).collect()
+        };
         let scores: Vec<(f64, u32, f64, f64)> = ORDERS
             .into_par_iter()
             .map(|order| {
-                let shown: Vec<Shown> = scene.train.iter().flat_map(|i| shown(scene, *i, order)).collect();
+                let shown = of_train(order);
                 let (score, amplitude, share) = amplitudes()
                     .map(|a| {
                         let gains: Vec<f64> = shown.iter().map(|s| s.gain(a)).collect();
@@ -97,8 +105,10 @@ impl Latent for WheelOutOfRoundness {
         if net <= 0.0 || amplitudes().all(|a| a <= amplitude) {
             return None;
         }
-        let (lower, upper) = interval(scene, order, share, amplitude, score);
-        let windows = (0..scene.observed.len()).map(|i| windows(scene, i, order, amplitude, share)).collect();
+        let (lower, upper) = interval(&of_train(order), share, amplitude, score);
+        let waves = waves(scene, order);
+        let of = |(i, views)| windows(scene, i, &shown(views, &waves), &waves, (amplitude, share));
+        let windows = views.iter().enumerate().map(of).collect();
         let (windows, traces) = scene.around_wheels(windows);
         let order = f64::from(order);
         Some(LatentFit {
@@ -146,9 +156,31 @@ fn waves(scene: &Scene, order: u32) -> [Vec<f64>; 2] {
     [scene.at_knots(true, |s| turn(s).sin()), scene.at_knots(true, |s| turn(s).cos())]
 }
 
-fn shown(scene: &Scene, passage: usize, order: u32) -> Vec<Shown> {
-    let waves = waves(scene, order);
-    scene.wheels[passage]
+/// One axle of the bogies of a passage, whitened by the covariance of a bogie's window.
+struct View {
+    /// Response to the path under this axle.
+    profile: Mat<f64>,
+    /// Residual windows, one column per bogie.
+    residual: Mat<f64>,
+}
+
+impl View {
+    fn both(scene: &Scene, passage: usize) -> [Self; 2] {
+        let windows = &scene.residuals[passage];
+        let n = scene.observed[passage].mean.len();
+        let residual = Mat::from_fn(n, windows.len(), |k, c| windows[c][k]);
+        let factor = scene.shapes[passage].factor(&scene.variation);
+        let white = |m: &Mat<f64>| factor.as_ref().map_or_else(|| m.clone(), |f| whitened(f, m));
+        let residual = white(&residual);
+        scene.responses[passage]
+            .profile
+            .each_ref()
+            .map(|p| Self { profile: white(p), residual: residual.clone() })
+    }
+}
+
+fn shown(views: &[View; 2], waves: &[Vec<f64>; 2]) -> Vec<Shown> {
+    views
         .iter()
         .flat_map(|view| {
             let columns = waves.each_ref().map(|w| times(&view.profile, w));
@@ -164,10 +196,14 @@ fn shown(scene: &Scene, passage: usize, order: u32) -> Vec<Shown> {
         .collect()
 }
 
-/// Posterior mean of what the wave adds to the windows of a passage.
-fn windows(scene: &Scene, passage: usize, order: u32, amplitude: f64, share: f64) -> Vec<Vec<f64>> {
-    let waves = waves(scene, order);
-    let shown = shown(scene, passage, order);
+/// Posterior mean of what the wave adds to the windows of a passage, of which is `shown`.
+fn windows(
+    scene: &Scene,
+    passage: usize,
+    shown: &[Shown],
+    waves: &[Vec<f64>; 2],
+    (amplitude, share): (f64, f64),
+) -> Vec<Vec<f64>> {
     let bogies = scene.residuals[passage].len();
     let plain =
         [0, 1].map(|axle| waves.each_ref().map(|w| times(&scene.responses[passage].profile[axle], w)));
@@ -189,8 +225,7 @@ fn windows(scene: &Scene, passage: usize, order: u32, amplitude: f64, share: f64
 
 /// Amplitudes whose log likelihood is within 1.35 (90 %) of the best, by parabola through the neighbours, and not narrower
 /// than the 8 % by which the linear response may be off.
-fn interval(scene: &Scene, order: u32, share: f64, amplitude: f64, score: f64) -> (f64, f64) {
-    let shown: Vec<Shown> = scene.train.iter().flat_map(|i| shown(scene, *i, order)).collect();
+fn interval(shown: &[Shown], share: f64, amplitude: f64, score: f64) -> (f64, f64) {
     let at = |a: f64| -> f64 {
         shown.iter().map(|s| crate::gap::latent::mixed(share, s.gain(a))).sum::<f64>() - score
     };

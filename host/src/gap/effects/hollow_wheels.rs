@@ -19,12 +19,18 @@ use self::own::{Own, own};
 use self::simulated::simulated;
 use crate::gap::effect::{Advice, Stage};
 use crate::gap::latent::{Latent, LatentFit, Scene};
+use crate::signal::dot;
 
 /// See the module.
 pub struct HollowWheels;
 
 /// Least number of wheelsets that groups are looked for in.
 const LEAST_WHEELSETS: usize = 24;
+
+/// Least part of what simulated hollow wheels make bogies differ by that is found in the recordings: 0.93 and more on seven sites with
+/// hollow wheels, 0.78 at most on three without, where waves of wheels, clipping or a void were not all that the linear response took
+/// for two groups.
+const LEAST_BORNE_OUT: f64 = 0.85;
 
 /// What hollow wheels have in common.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -64,6 +70,9 @@ impl Latent for HollowWheels {
         }
         let (gain, two) = grouped(&learnt)?;
         let (hollow, windows) = simulated(scene, two.share)?;
+        if differences_borne_out(scene, &windows) < LEAST_BORNE_OUT {
+            return None;
+        }
         Some(LatentFit {
             apart: false,
             gain,
@@ -74,4 +83,20 @@ impl Latent for HollowWheels {
             windows,
         })
     }
+}
+
+/// How much of what hollow wheels make bogies of a train differ by is found in the recordings of the training passages: 1 where all is, half
+/// where the bogies differ as much without it.
+fn differences_borne_out(scene: &Scene, windows: &[Vec<Vec<f64>>]) -> f64 {
+    let of = |i: &usize| {
+        let differ = |list: &[Vec<f64>]| -> Vec<f64> {
+            let of_sample = |k: usize| list.iter().map(|w| w[k]).sum::<f64>() / list.len() as f64;
+            let mean: Vec<f64> = (0..list.first().map_or(0, Vec::len)).map(of_sample).collect();
+            list.iter().flat_map(|w| w.iter().zip(&mean).map(|(w, m)| w - m)).collect()
+        };
+        let (recorded, added) = (differ(&scene.residuals[*i]), differ(&windows[*i]));
+        [dot(&recorded, &added), dot(&added, &added)]
+    };
+    let [found, all] = scene.train.iter().map(of).fold([0.0; 2], |a, b| [a[0] + b[0], a[1] + b[1]]);
+    found / all.max(f64::MIN_POSITIVE)
 }

@@ -197,7 +197,7 @@ impl<'a> Scene<'a> {
 }
 
 /// Part of what windows are thought to hold that lowers their squares the most, at most all of it.
-fn borne_out<'w>(windows: impl Iterator<Item = (&'w Vec<f64>, &'w Vec<f64>)>) -> f64 {
+pub(super) fn borne_out<'w>(windows: impl Iterator<Item = (&'w Vec<f64>, &'w Vec<f64>)>) -> f64 {
     let (both, own) = windows.fold((0.0, 0.0), |(both, own), (y, w)| (both + dot(y, w), own + dot(w, w)));
     (both / f64::max(own, f64::MIN_POSITIVE)).clamp(0.0, 1.0)
 }

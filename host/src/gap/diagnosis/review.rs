@@ -88,10 +88,7 @@ impl Session<'_> {
                 self.taken_back(name);
                 continue;
             };
-            for named in self.named.iter_mut().filter(|n| n.name == name) {
-                named.parameters.clone_from(&fit.parameters);
-            }
-            self.take_out(effect, fit);
+            self.described_anew(effect, fit);
         }
         if self.latent_fits.is_empty() { Ok(()) } else { self.refit_variation() }
     }
@@ -104,11 +101,16 @@ impl Session<'_> {
         self.give_back(&before);
         let again = self.explore_those(|e| e.name() == effect.name())?.pop().and_then(|(_, found, _)| found);
         let found = again.filter(|f| likeness(f, &before) > THE_SAME).unwrap_or(before);
+        self.described_anew(effect, found);
+        self.refit_variation()
+    }
+
+    /// Takes what a named effect of wheels is now found to add off the windows.
+    fn described_anew(&mut self, effect: &'static dyn Latent, found: LatentFit) {
         for named in self.named.iter_mut().filter(|n| n.name == effect.name()) {
             named.parameters.clone_from(&found.parameters);
         }
         self.take_out(effect, found);
-        self.refit_variation()
     }
 
     /// Takes back all that the search has named, and the base model over voids, if that is one.

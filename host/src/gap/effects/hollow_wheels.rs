@@ -18,8 +18,7 @@ use self::groups::grouped;
 use self::own::{Own, own};
 use self::simulated::simulated;
 use crate::gap::effect::{Advice, Stage};
-use crate::gap::latent::{Latent, LatentFit, Scene};
-use crate::signal::dot;
+use crate::gap::latent::{Latent, LatentFit, Scene, borne_out};
 
 /// See the module.
 pub struct HollowWheels;
@@ -94,9 +93,8 @@ fn differences_borne_out(scene: &Scene, windows: &[Vec<Vec<f64>>]) -> f64 {
             let mean: Vec<f64> = (0..list.first().map_or(0, Vec::len)).map(of_sample).collect();
             list.iter().flat_map(|w| w.iter().zip(&mean).map(|(w, m)| w - m)).collect()
         };
-        let (recorded, added) = (differ(&scene.residuals[*i]), differ(&windows[*i]));
-        [dot(&recorded, &added), dot(&added, &added)]
+        (differ(&scene.residuals[*i]), differ(&windows[*i]))
     };
-    let [found, all] = scene.train.iter().map(of).fold([0.0; 2], |a, b| [a[0] + b[0], a[1] + b[1]]);
-    found / all.max(f64::MIN_POSITIVE)
+    let passages: Vec<(Vec<f64>, Vec<f64>)> = scene.train.iter().map(of).collect();
+    borne_out(passages.iter().map(|(recorded, added)| (recorded, added)))
 }

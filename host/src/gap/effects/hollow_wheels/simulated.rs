@@ -44,26 +44,31 @@ const SHARE_RANGE: [f64; 2] = [0.02, 0.9];
 
 /// Hollow wheels that explain the windows of the training passages best, where `share` of the wheelsets seem to be hollow, and what they add to every window: passage, bogie.
 pub(super) fn simulated(scene: &Scene, share: f64) -> Option<(Hollow, Vec<Vec<Vec<f64>>>)> {
-    let looked_at = scene.train.par_iter().map(|i| View::of(scene, *i));
-    let views = looked_at.collect::<Option<Vec<View>>>()?;
-    let mut hollow = likeliest(&views.iter().collect::<Vec<_>>(), share)?;
+    let views = (0..scene.observed.len()).into_par_iter().map(|i| View::of(scene, i));
+    let views = views.collect::<Option<Vec<View>>>()?;
+    let train: Vec<&View> = scene.train.iter().map(|i| &views[*i]).collect();
+    let mut hollow = likeliest(&train, share)?;
     for _ in 0..REFINED {
-        hollow = refined(&views, hollow)?;
+        hollow = refined(&train, hollow)?;
     }
-    let windows = (0..scene.observed.len()).into_par_iter();
-    let windows = windows.map(|i| View::of(scene, i)?.windows(hollow)).collect::<Option<_>>()?;
+    let windows = views.par_iter().map(|view| view.windows(hollow)).collect::<Option<_>>()?;
     Some((hollow, windows))
 }
 
 /// The mean of hollow wheels that differ from one another, from what they are thought to be.
-fn refined(views: &[View], hollow: Hollow) -> Option<Hollow> {
+fn refined(views: &[&View], hollow: Hollow) -> Option<Hollow> {
     let found = views.par_iter().map(|view| view.of_their_own(hollow)).collect::<Option<Vec<Weighed>>>()?;
     let sum = |of: fn(&Weighed) -> f64| found.iter().map(of).sum::<f64>();
     let count = sum(|w| w.hollow).max(1.0);
     let moved = hollow
         .moved(OWN.0 * hollow.depth_factor * sum(|w| w.own[0]) / count, OWN.1 * sum(|w| w.own[1]) / count);
+    Some(Hollow { share: share_of(&found), ..moved }.within())
+}
+
+/// Share of the wheelsets that are hollow.
+fn share_of(found: &[Weighed]) -> f64 {
     let wheelsets: usize = found.iter().map(|w| 2 * w.added.len()).sum();
-    Some(Hollow { share: sum(|w| w.hollow) / wheelsets.max(1) as f64, ..moved }.within())
+    found.iter().map(|w| w.hollow).sum::<f64>() / wheelsets.max(1) as f64
 }
 
 fn likeliest(train: &[&View], share: f64) -> Option<Hollow> {
@@ -116,12 +121,9 @@ struct Likely {
 
 impl Likely {
     fn on(views: &[&View], hollow: Hollow) -> Option<Self> {
-        let weigh = |view: &&View| view.weighed(hollow).map(|w| (w.log_likelihood, w.hollow, w.added.len()));
-        let found = views.par_iter().map(weigh).collect::<Option<Vec<_>>>()?;
-        let wheelsets: usize = found.iter().map(|f| 2 * f.2).sum();
-        let found_hollow: f64 = found.iter().map(|f| f.1).sum();
-        let log_likelihood = found.iter().map(|f| f.0).sum();
-        Some(Self { hollow, log_likelihood, share: found_hollow / wheelsets.max(1) as f64 })
+        let found = views.par_iter().map(|view| view.weighed(hollow)).collect::<Option<Vec<Weighed>>>()?;
+        let log_likelihood = found.iter().map(|w| w.log_likelihood).sum();
+        Some(Self { hollow, log_likelihood, share: share_of(&found) })
     }
 
     fn with_its_share(self) -> Hollow {

@@ -6,6 +6,7 @@ pub mod consequences;
 pub mod consistency;
 pub mod corrected;
 pub mod data;
+mod departures;
 pub mod diagnosis;
 pub mod effect;
 pub mod effects;

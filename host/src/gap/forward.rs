@@ -4,6 +4,8 @@
 //! beds that open that is so as long as a bogie is there, but sleepers swing behind it until the next one comes:
 //! [`equivalent`](super::equivalent) simulates whole trains.
 
+use std::sync::Arc;
+
 use super::clipping::{Spread, clipped_mean};
 use super::world::World;
 use crate::passage::contact::ContactLaw;
@@ -43,7 +45,7 @@ pub enum Detail {
 /// Simulation of a bogie over a track, ready for any speed.
 #[derive(Clone)]
 pub struct Simulator {
-    stepper: Stepper,
+    stepper: Arc<Stepper>,
     train: Train,
     surface: RunningSurface,
     law: ContactLaw,
@@ -52,6 +54,8 @@ pub struct Simulator {
     /// Standard deviations of the depth of the wheels' paths (relative) and of where they meet them (metres).
     wheels_differ: [f64; 2],
     antialias: AntiAlias,
+    /// Travel of the front axle at which simulations end early, metres from x = 0.
+    until_m: f64,
 }
 
 impl Simulator {
@@ -77,7 +81,7 @@ impl Simulator {
         let stock = Profile::of(extent, GRID_M, |x| world.path.at(Side::Stock, x))?;
         let sensor = &world.crossing.sensor;
         Ok(Self {
-            stepper,
+            stepper: Arc::new(stepper),
             train: train(world, axle_load_kg)?,
             surface: RunningSurface {
                 paths: vec![crossing_path],
@@ -89,6 +93,7 @@ impl Simulator {
             sensor: world.sensor,
             wheels_differ: [world.wheels.depth_sd, world.path.blur_m],
             antialias: AntiAlias::new(sensor.antialias_order, sensor.antialias_hz),
+            until_m: f64::INFINITY,
         })
     }
 
@@ -144,6 +149,11 @@ impl Simulator {
         out
     }
 
+    /// The same, ended where the front axle has travelled to `front_m`, metres from x = 0: what comes then does not matter.
+    pub fn until(self, front_m: f64) -> Self {
+        Self { until_m: front_m, ..self }
+    }
+
     /// Travel of the front axle from which on a bump ([`with_bump`](Self::with_bump)) is under a wheel, metres.
     pub fn meets_m(&self, world: &World, knot: usize, axle: usize) -> f64 {
         let (side, x_m) = world.path.deviation.knots()[knot];
@@ -186,13 +196,14 @@ impl Simulator {
     fn journey(&self, speed_m_s: f64) -> Journey {
         let speed = speed_m_s * self.stretch();
         let [first, last] = self.stepper.model.extent_m();
-        let length = last - first + self.train.length_m();
+        let first_m = if self.direction > 0.0 { first } else { -last };
+        let length_m = (last - first + self.train.length_m()).min(self.until_m - first_m);
         Journey {
             direction: self.direction,
             speed_m_s: speed,
             acceleration_m_s2: 0.0,
-            first_m: if self.direction > 0.0 { first } else { -last },
-            duration_s: length / speed,
+            first_m,
+            duration_s: length_m / speed,
             start: Start::Quiet,
         }
     }

@@ -207,22 +207,6 @@ fn check(
     in_range("speed at the end", last, [1.0, 150.0], "m/s")
 }
 
-/// Deflection of the outer track under the static force of each wheel, both rails loaded.
-fn ground(stepper: &Stepper, train: &Train) -> Result<Vec<f64>, SimulationError> {
-    let [first, last] = stepper.model.extent_m();
-    let x = first + (last - first) / 6.0;
-    let mut compliance = [0.0; 2];
-    if stepper.nonlinear_sleepers().is_empty() {
-        let points: Vec<RailPoint> = (0..2).filter_map(|side| stepper.model.point_on(side, x)).collect();
-        let loads: Vec<(RailPoint, f64)> = points.iter().map(|p| (*p, 1.0)).collect();
-        let state = stepper.static_state(&loads)?;
-        for (c, point) in compliance.iter_mut().zip(&points) {
-            *c = stepper.rail_m(&state, point);
-        }
-    }
-    Ok(train.wheels.iter().enumerate().map(|(i, w)| w.static_force_n * compliance[i % 2]).collect())
-}
-
 impl<'a> Passage<'a> {
     fn new(
         stepper: &'a Stepper,
@@ -232,7 +216,9 @@ impl<'a> Passage<'a> {
         range_m: [f64; 2],
     ) -> Result<Self, SimulationError> {
         check(train, surface, law, journey)?;
-        let ground_m = ground(stepper, train)?;
+        let compliance_m_n = stepper.ground_m_n();
+        let wheels = train.wheels.iter().enumerate();
+        let ground_m = wheels.map(|(i, w)| w.static_force_n * compliance_m_n[i % 2]).collect();
         Ok(Self { stepper, train, surface, law, journey, range_m, ground_m })
     }
 

@@ -66,6 +66,8 @@ pub struct Stepper {
     rails: Rails,
     effective: Effective,
     influence: Influence,
+    /// See [`Stepper::ground_m_n`].
+    ground_m_n: [f64; 2],
     pub(super) arch: pulp::Arch,
 }
 
@@ -86,8 +88,9 @@ impl Stepper {
         let shares = step.shares();
         let sleepers = Sleepers::new(&model, shares)?;
         let effective = Effective::new(&model, &sleepers, shares)?;
-        Ok(Self {
+        let mut out = Self {
             influence: Influence::new(&model, &effective),
+            ground_m_n: [0.0; 2],
             beds: NonlinearBeds::new(&model),
             rails: Rails::new(&model),
             sleepers,
@@ -95,7 +98,29 @@ impl Stepper {
             step,
             model,
             arch: pulp::Arch::new(),
-        })
+        };
+        if out.nonlinear_sleepers().is_empty() {
+            out.ground_m_n = out.outer_compliance_m_n()?;
+        }
+        Ok(out)
+    }
+
+    /// Static deflection of the outer track under each rail per newton on both of them, m/N; none where a bed is not linear.
+    pub fn ground_m_n(&self) -> [f64; 2] {
+        self.ground_m_n
+    }
+
+    fn outer_compliance_m_n(&self) -> Result<[f64; 2], SimulationError> {
+        let [first, last] = self.model.extent_m();
+        let x_m = first + (last - first) / 6.0;
+        let points: Vec<RailPoint> = (0..2).filter_map(|side| self.model.point_on(side, x_m)).collect();
+        let loads: Vec<(RailPoint, f64)> = points.iter().map(|p| (*p, 1.0)).collect();
+        let state = self.static_state(&loads)?;
+        let mut compliance_m_n = [0.0; 2];
+        for (c, point) in compliance_m_n.iter_mut().zip(&points) {
+            *c = self.rail_m(&state, point);
+        }
+        Ok(compliance_m_n)
     }
 
     /// Largest part of the influence of a load that the contact solution leaves out, relative to the influence at the

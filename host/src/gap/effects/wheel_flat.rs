@@ -137,6 +137,7 @@ impl Found {
                 None => break,
             }
         }
+        Arc::make_mut(&mut self.bursts).complete(scene)?;
         Some(self)
     }
 

@@ -1,16 +1,19 @@
 //! Hollow wheels as simulations show them.
 
+use std::sync::{Mutex, PoisonError};
+
 use faer::Mat;
 use faer::linalg::solvers::Llt;
 use rayon::prelude::*;
 
 use super::Hollow;
 use super::bogies::{CASES, Case, Weighed};
-use crate::gap::data::{Observed, RATE_HZ};
+use crate::gap::departures::Plain;
 use crate::gap::fit::whitened;
-use crate::gap::forward::{Response, Simulator};
+use crate::gap::forward::{Detail, Simulator};
 use crate::gap::latent::Scene;
 use crate::gap::variation::Variation;
+use crate::passage::surface::GRID_M;
 
 /// What wheels differ by that are not hollow. What a model without hollow ones takes it for is inflated by them.
 const NATURAL: Variation = Variation {
@@ -131,39 +134,51 @@ impl Likely {
     }
 }
 
+/// What hollow wheels add to a window in all cases but the first, whitened.
+type Added = [Vec<f64>; CASES - 1];
+
 /// A passage as it looks if wheels differ naturally.
 struct View<'a> {
-    observed: &'a Observed,
-    simulator: Simulator,
-    /// Response to wheels that are not hollow.
-    plain: Response,
+    plain: Plain<'a>,
+    /// Travel of the front axle at which the front wheelset, and the rear one, meets a path that hollow wheels may have otherwise, metres.
+    meets_m: [f64; 2],
     factor: Llt<f64>,
     /// Whitened, one per bogie.
     windows: Vec<Vec<f64>>,
+    /// By depth factor and shift: searches come back to where they have been.
+    simulated: Mutex<Vec<([f64; 2], Added)>>,
 }
 
 impl<'a> View<'a> {
     fn of(scene: &Scene<'a>, passage: usize) -> Option<Self> {
-        let observed = &scene.observed[passage];
-        let simulator = Simulator::new(scene.world, observed.axle_load_kg).ok()?;
-        let plain = simulator.response(observed.speed_m_s).ok()?;
+        let (observed, spacing_m) = (&scene.observed[passage], scene.world.crossing.vehicle.axle_spacing_m);
+        let first_m = SHIFT_RANGE_M[0] - OWN_STEPS.1 - scene.world.path.half_m - GRID_M;
+        let meets_m = [first_m, first_m + spacing_m];
+        let plain = Plain::of(observed, scene.world, Detail::Full, meets_m.to_vec()).ok()?;
         let factor = scene.shapes[passage].factor(&NATURAL)?;
         let windows = columns(&white(&factor, &scene.residuals[passage]));
-        Some(Self { observed, simulator, plain, factor, windows })
+        Some(Self { plain, meets_m, factor, windows, simulated: Mutex::default() })
     }
 
-    /// What the paths of hollow wheelsets add to a window.
-    fn added(&self, hollow: &Simulator) -> Option<Vec<f64>> {
-        let o = self.observed;
-        let added = hollow.response(o.speed_m_s).ok()?.less(&self.plain, 1.0);
-        Some((0..o.mean.len()).map(|k| added.at(o.first_s + k as f64 / RATE_HZ)).collect())
+    /// What the paths of hollow wheelsets add to a window, the first of which is the front (0) or the rear (1) one.
+    fn added(&self, hollow: &Simulator, first: usize) -> Option<Vec<f64>> {
+        Some(self.plain.in_window(&self.plain.departure(hollow, self.meets_m[first]).ok()?, 0.0))
     }
 
-    /// Simulations of all cases but the first: the front wheelset hollow, the rear one, both.
-    fn simulations(&self, h: Hollow) -> Option<[Vec<f64>; CASES - 1]> {
+    /// The front wheelset hollow, the rear one, both.
+    fn simulated(&self, h: Hollow) -> Option<Added> {
+        let known = || self.simulated.lock().unwrap_or_else(PoisonError::into_inner);
+        let place = [h.depth_factor, h.shift_m];
+        if let Some((_, added)) = known().iter().find(|(of, _)| *of == place) {
+            return Some(added.clone());
+        }
         let of = |s: &Simulator, axle: usize| s.with_own_path(axle, h.depth_factor, h.shift_m);
-        let front = of(&self.simulator, 0);
-        Some([self.added(&front)?, self.added(&of(&self.simulator, 1))?, self.added(&of(&front, 1))?])
+        let front = of(self.plain.simulator(), 0);
+        let rear = of(self.plain.simulator(), 1);
+        let added = [self.added(&front, 0)?, self.added(&rear, 1)?, self.added(&of(&front, 1), 0)?];
+        let added: Added = columns(&white(&self.factor, &added)).try_into().ok()?;
+        known().push((place, added.clone()));
+        Some(added)
     }
 
     /// Hollow wheels that are all alike.
@@ -171,7 +186,7 @@ impl<'a> View<'a> {
         let alike = [const { [].as_slice() }; CASES];
         Some(Weighed::of(
             &self.windows,
-            &self.cases(h, &Mat::zeros(self.observed.mean.len(), 0), alike)?,
+            &self.cases(h, &Mat::zeros(self.factor.L().nrows(), 0), alike)?,
             h.share,
         ))
     }
@@ -179,7 +194,7 @@ impl<'a> View<'a> {
     /// Cases with columns of `own`, by their indices.
     fn cases(&self, h: Hollow, own: &Mat<f64>, of_case: [&[usize]; CASES]) -> Option<[Case; CASES]> {
         let mut added = vec![vec![0.0; own.nrows()]];
-        added.extend(columns(&white(&self.factor, &self.simulations(h)?)));
+        added.extend(self.simulated(h)?);
         let list = added.into_iter().zip(of_case).map(|(added, indices)| {
             Case::new(added, Mat::from_fn(own.nrows(), indices.len(), |k, c| own[(k, indices[c])]))
         });
@@ -196,7 +211,7 @@ impl<'a> View<'a> {
     /// What they add to the window of every bogie.
     fn windows(&self, h: Hollow) -> Option<Vec<Vec<f64>>> {
         let added = self.of_their_own(h)?.added;
-        let added = Mat::from_fn(self.observed.mean.len(), added.len(), |k, b| added[b][k]);
+        let added = Mat::from_fn(self.factor.L().nrows(), added.len(), |k, b| added[b][k]);
         Some(columns(&(self.factor.L() * added)))
     }
 
@@ -205,7 +220,7 @@ impl<'a> View<'a> {
         let of = |axle: usize, (depth, shift_m): (f64, f64), sd: f64| {
             let beside = |sign: f64| {
                 let (depth_factor, shift_m) = (h.depth_factor + sign * depth, h.shift_m + sign * shift_m);
-                self.added(&self.simulator.with_own_path(axle, depth_factor, shift_m))
+                self.added(&self.plain.simulator().with_own_path(axle, depth_factor, shift_m), axle)
             };
             let size = sd / (2.0 * (depth + shift_m));
             Some(beside(1.0)?.iter().zip(beside(-1.0)?).map(|(a, b)| size * (a - b)).collect())

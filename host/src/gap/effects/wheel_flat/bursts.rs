@@ -4,11 +4,12 @@
 use faer::Mat;
 use rayon::prelude::*;
 
-use crate::gap::data::{Observed, RATE_HZ};
-use crate::gap::forward::{Detail, Simulator};
+use crate::gap::departures::Plain;
+use crate::gap::forward::Detail;
 use crate::gap::latent::{Scene, times};
 use crate::passage::WheelFlat as Flat;
 use crate::passage::surface::from_nearest;
+use crate::signal::dot;
 
 /// Places around the wheel that are tried.
 const PLACES: usize = 48;
@@ -23,12 +24,20 @@ const BROAD_M: f64 = 0.5;
 /// Through the crossing, every wheel's own path makes bursts too, beyond what is linear in its depth and shift. A flat that
 /// meets the rail there says nothing by its linear response: metres from x = 0 on either side of the middle of the transition.
 const CROSSING_M: (f64, f64) = (0.3, 0.75);
+/// A flat that meets the rail farther from x = 0 than this, before it, does not show in the window, metres.
+const FAR_M: f64 = 5.0;
+/// A passage is halted this far before a flat meets the rail, metres.
+const BEFORE_M: f64 = 0.01;
 /// Lengths simulated, metres.
 pub(super) const LENGTHS_M: [f64; 7] = [0.02, 0.03, 0.04, 0.05, 0.065, 0.08, 0.1];
 
-/// What flats of one size add to the windows of all passages, front and rear, at every place around the wheel.
+/// What flats of one size add to the windows of the passages, front and rear, at every place around the wheel.
+#[derive(Clone)]
 pub(super) struct Bursts {
+    /// Empty where they are not simulated.
     pub(super) windows: Vec<[Vec<Vec<f64>>; 2]>,
+    /// Length of simulated flats, metres.
+    length_m: Option<f64>,
     /// Factors of it that are tried: first, ratio, number.
     factors: (f64, f64, usize),
 }
@@ -48,41 +57,45 @@ impl Bursts {
         let paths = paths(scene, broad_m);
         let of = |profile: &Mat<f64>| paths.iter().map(|p| times(profile, p)).collect();
         let windows = scene.responses.par_iter().map(|r| r.profile.each_ref().map(of)).collect();
-        Self { windows, factors: AREAS }
+        Self { windows, length_m: None, factors: AREAS }
     }
 
-    /// Simulated: what a wheel does that does not follow its flat.
+    /// Simulated in the training passages: what a wheel does that does not follow its flat.
     pub(super) fn simulated(scene: &Scene, length_m: f64) -> Option<Self> {
-        let turn_m = turn_m(scene);
-        let places: Vec<f64> = (0..PLACES).map(|p| p as f64 / PLACES as f64 * turn_m).collect();
-        let beside_m = |j: usize| (at(j, BETWEEN) / PLACES as f64) * turn_m;
-        let of = |o: &Observed| -> Option<[Vec<Vec<f64>>; 2]> {
-            let simulator = Simulator::in_detail(scene.world, o.axle_load_kg, Detail::Scouting).ok()?;
-            let plain = simulator.response(o.speed_m_s).ok()?;
-            let one = |axle: usize, at_m: f64| -> Option<Vec<Vec<f64>>> {
-                let flat = flat(scene, length_m, at_m);
-                let added = simulator.with_flat(axle, flat).response(o.speed_m_s).ok()?.less(&plain, 1.0);
-                // Over some centimetres a flat does the same, later.
-                let later = |j: usize| -> Vec<f64> {
-                    let first_s = o.first_s - beside_m(j) / o.speed_m_s;
-                    (0..o.mean.len()).map(|k| added.at(first_s + k as f64 / RATE_HZ)).collect()
-                };
-                Some((0..BETWEEN).map(later).collect())
-            };
-            let axle = |axle: usize| -> Option<Vec<Vec<f64>>> {
-                let places: Option<Vec<Vec<Vec<f64>>>> =
-                    places.par_iter().map(|at_m| one(axle, *at_m)).collect();
-                Some(places?.into_iter().flatten().collect())
-            };
-            Some([axle(0)?, axle(1)?])
-        };
-        let windows = scene.observed.iter().map(of).collect::<Option<Vec<_>>>()?;
-        Some(Self { windows, factors: FACTORS })
+        let windows = vec![[Vec::new(), Vec::new()]; scene.observed.len()];
+        let mut out = Self { windows, length_m: Some(length_m), factors: FACTORS };
+        out.simulate(scene, scene.train)?;
+        Some(out)
+    }
+
+    /// The same in all other passages.
+    pub(super) fn complete(&mut self, scene: &Scene) -> Option<()> {
+        let others = (0..scene.observed.len()).filter(|i| !scene.train.contains(i));
+        self.simulate(scene, &others.collect::<Vec<_>>())
+    }
+
+    fn simulate(&mut self, scene: &Scene, passages: &[usize]) -> Option<()> {
+        let Some(length_m) = self.length_m else { return Some(()) };
+        let of = |passage: &usize| simulated(scene, length_m, *passage);
+        let found: Vec<[Vec<Vec<f64>>; 2]> = passages.par_iter().map(of).collect::<Option<_>>()?;
+        for (passage, windows) in passages.iter().zip(found) {
+            self.windows[*passage] = windows;
+        }
+        Some(())
+    }
+
+    /// Places for one that is simulated.
+    fn between(&self) -> usize {
+        if self.length_m.is_some() { BETWEEN } else { 1 }
     }
 
     /// Places that say nothing: those inside the crossing, unless the flats are simulated there.
     pub(super) fn mute(&self, scene: &Scene) -> Vec<bool> {
-        if self.between() > 1 { vec![false; PLACES * self.between()] } else { self.inside_crossing(scene) }
+        if self.length_m.is_some() {
+            vec![false; PLACES * self.between()]
+        } else {
+            self.inside_crossing(scene)
+        }
     }
 
     /// Places around the wheel at which a flat meets the rail inside the crossing.
@@ -94,11 +107,6 @@ impl Bursts {
             from_nearest(at_m - middle, turn_m).abs() < CROSSING_M.1
         };
         (0..PLACES * self.between()).map(inside).collect()
-    }
-
-    /// Places for one that is simulated.
-    fn between(&self) -> usize {
-        self.windows.first().map_or(1, |[front, _]| front.len() / PLACES)
     }
 
     pub(super) fn factors(&self) -> Vec<f64> {
@@ -119,6 +127,37 @@ fn turn_m(scene: &Scene) -> f64 {
 
 fn flat(scene: &Scene, length_m: f64, at_m: f64) -> Flat {
     Flat::fresh(length_m, at_m, scene.world.crossing.vehicle.wheel_radius_m)
+}
+
+/// Windows of a passage with a flat at every place of the front wheelset, and of the rear one.
+fn simulated(scene: &Scene, length_m: f64, passage: usize) -> Option<[Vec<Vec<f64>>; 2]> {
+    let (o, turn_m) = (&scene.observed[passage], turn_m(scene));
+    let of_place = |place: usize| {
+        let flat = flat(scene, length_m, place as f64 / PLACES as f64 * turn_m);
+        [0, 1].map(|axle| (axle, flat, meets_m(scene, flat, axle)))
+    };
+    let flats: Vec<(usize, Flat, f64)> = (0..PLACES).flat_map(of_place).collect();
+    let halts_m = flats.iter().map(|(.., meets_m)| *meets_m).collect();
+    let plain = Plain::of(o, scene.world, Detail::Scouting, halts_m).ok()?;
+    let one = |(axle, flat, meets_m): &(usize, Flat, f64)| -> Option<Vec<Vec<f64>>> {
+        let departure = plain.departure(&plain.simulator().with_flat(*axle, *flat), *meets_m).ok()?;
+        // Over some centimetres a flat does the same, later.
+        let late_s = |j: usize| at(j, BETWEEN) / PLACES as f64 * turn_m / o.speed_m_s;
+        Some((0..BETWEEN).map(|j| plain.in_window(&departure, late_s(j))).collect())
+    };
+    let all: Vec<Vec<Vec<f64>>> = flats.par_iter().map(one).collect::<Option<_>>()?;
+    let mut windows = [Vec::new(), Vec::new()];
+    for ((axle, ..), of_place) in flats.iter().zip(all) {
+        windows[*axle].extend(of_place);
+    }
+    Some(windows)
+}
+
+/// Travel of the front axle at which a flat of a wheelset first meets the rail where it shows in the window, metres.
+fn meets_m(scene: &Scene, flat: Flat, axle: usize) -> f64 {
+    let begin_m = flat.at_m - 0.5 * flat.length_m - BEFORE_M;
+    let first_m = begin_m + ((-FAR_M - begin_m) / turn_m(scene)).ceil() * turn_m(scene);
+    first_m + axle as f64 * scene.world.crossing.vehicle.axle_spacing_m
 }
 
 /// Coefficients of the path of a flat of unit area at every place, or of a bump `broad_m` long instead.
@@ -146,24 +185,25 @@ fn paths(scene: &Scene, broad_m: f64) -> Vec<Vec<f64>> {
 /// Factor of a flat of unit size that does what a flat of each length does: a wheel does not follow a long flat, so it grows more slowly
 /// than ℓ³.
 pub(super) fn factors_of_lengths(scene: &Scene, bursts: &Bursts) -> Option<Vec<(f64, f64)>> {
-    let middle = scene.of_middle_speed((0..scene.observed.len()).collect());
-    let o = &scene.observed[middle];
-    let simulator = Simulator::new(scene.world, o.axle_load_kg).ok()?;
-    let here = simulator.response(o.speed_m_s).ok()?;
+    let middle = scene.of_middle_speed(scene.train.to_vec());
     let turn_m = turn_m(scene);
     // Where the flat meets the rail beside the sensor and away from the crossing's own impact.
     let (places, between) = ([PLACES / 6, 3 * PLACES / 4], bursts.between());
+    let flat_of = |length_m: f64, place: usize| flat(scene, length_m, place as f64 / PLACES as f64 * turn_m);
+    let meets_m = |flat: Flat| meets_m(scene, flat, 0);
+    let halts_m = LENGTHS_M.iter().flat_map(|l| places.map(|place| meets_m(flat_of(*l, place)))).collect();
+    let plain = Plain::of(&scene.observed[middle], scene.world, Detail::Full, halts_m).ok()?;
     let curve = LENGTHS_M
         .into_par_iter()
         .map(|length_m| {
             let (mut product, mut power) = (0.0, 0.0);
             for place in places {
-                let flat = flat(scene, length_m, place as f64 / PLACES as f64 * turn_m);
-                let changed = simulator.with_flat(0, flat).response(o.speed_m_s).ok()?.less(&here, 1.0);
-                for (k, c) in bursts.windows[middle][0][place * between + between / 2].iter().enumerate() {
-                    product += c * changed.at(o.first_s + k as f64 / RATE_HZ);
-                    power += c * c;
-                }
+                let flat = flat_of(length_m, place);
+                let departure = plain.departure(&plain.simulator().with_flat(0, flat), meets_m(flat)).ok()?;
+                let changed = plain.in_window(&departure, 0.0);
+                let burst = &bursts.windows[middle][0][place * between + between / 2];
+                product += dot(burst, &changed);
+                power += dot(burst, burst);
             }
             Some((length_m, (product / power.max(f64::MIN_POSITIVE)).max(0.0)))
         })

@@ -11,6 +11,9 @@ use crate::gap::latent::Scene;
 use crate::gap::variation::Variation;
 use crate::signal::dot;
 
+/// exp of less than this is lost beside 1.
+const NOTHING: f64 = -50.0;
+
 /// What a window shows for a flat of unit size at every place of one of its wheelsets: b = cᵀy, g = cᵀc.
 #[derive(Clone)]
 pub(super) struct Shown {
@@ -29,11 +32,10 @@ impl Shown {
         all.max_by(|a, b| a.1.total_cmp(&b.1)).unwrap_or((0, 0.0))
     }
 
-    /// Log likelihood ratio, averaged over the places.
-    fn gain(&self, factor: f64) -> f64 {
-        let (_, top) = self.top(factor);
-        let all = 0..self.b.len();
-        top + (all.map(|i| (self.at(factor, i) - top).exp()).sum::<f64>() / self.b.len() as f64).ln()
+    /// Log likelihood ratio, averaged over the places, where the likeliest has `top`. What cannot change the sum is left out.
+    fn gain(&self, factor: f64, top: f64) -> f64 {
+        let all = (0..self.b.len()).map(|i| self.at(factor, i) - top).filter(|less| *less > NOTHING);
+        top + (all.map(f64::exp).sum::<f64>() / self.b.len() as f64).ln()
     }
 
     /// The same without what some places say.
@@ -64,7 +66,14 @@ pub(super) struct OfBogie {
 impl OfBogie {
     /// Both wheelsets with flats: the one that explains more, and the other beside the likeliest place of that.
     pub(super) fn one_after_another(&self, factor: f64) -> (usize, Shown) {
-        let tops = self.axles.each_ref().map(|s| s.top(factor));
+        self.beside(factor, self.tops(factor))
+    }
+
+    fn tops(&self, factor: f64) -> [(usize, f64); 2] {
+        self.axles.each_ref().map(|s| s.top(factor))
+    }
+
+    fn beside(&self, factor: f64, tops: [(usize, f64); 2]) -> (usize, Shown) {
         let first = usize::from(tops[1].1 > tops[0].1);
         let place = tops[first].0;
         let mut second = self.axles[1 - first].clone();
@@ -76,9 +85,10 @@ impl OfBogie {
 
     /// Log likelihood ratios of flats on the front wheelset, on the rear one, and on both.
     pub(super) fn gains(&self, factor: f64) -> [f64; 3] {
-        let [front, rear] = self.axles.each_ref().map(|s| s.gain(factor));
-        let (first, second) = self.one_after_another(factor);
-        [front, rear, [front, rear][first] + second.gain(factor)]
+        let tops = self.tops(factor);
+        let [front, rear] = [0, 1].map(|axle| self.axles[axle].gain(factor, tops[axle].1));
+        let (first, second) = self.beside(factor, tops);
+        [front, rear, [front, rear][first] + second.gain(factor, second.top(factor).1)]
     }
 
     /// Probabilities of no flats, and of those of [`Self::gains`], where a share of the wheelsets have them; and the log likelihood
@@ -150,7 +160,7 @@ mod tests {
     fn analytic_gain_of_one_place() {
         // One place only: a b − a²g/2.
         let shown = Shown { b: vec![3.0], g: vec![2.0] };
-        assert!((shown.gain(1.5) - (4.5 - 2.25)).abs() < 1e-12);
+        assert!((shown.gain(1.5, shown.top(1.5).1) - (4.5 - 2.25)).abs() < 1e-12);
         assert_eq!(shown.places(1.5), vec![1.0]);
     }
 

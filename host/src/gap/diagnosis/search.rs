@@ -66,8 +66,8 @@ impl Session<'_> {
     pub(super) fn search_apart(&mut self) -> Result<(), GapError> {
         while self.named.len() < MOST_EFFECTS {
             // No single wheel is heard without a train.
-            let named: Vec<&str> = self.named.iter().map(|n| n.name).collect();
-            let wanted = |e: &dyn Latent| e.acts_on() == ActsOn::Recordings && !named.contains(&e.name());
+            let not_named = self.not_named();
+            let wanted = |e: &dyn Latent| e.acts_on() == ActsOn::Recordings && not_named(e);
             let mut latent = self.explore_those(wanted)?;
             let reference = self.base.fit.clone();
             let mut list = self.candidates(&[], &reference, &latent)?;
@@ -226,8 +226,13 @@ impl Session<'_> {
 
     /// Looks for effects of single wheels or recordings that are not named yet.
     pub(super) fn explore(&mut self) -> Result<Vec<Explored>, GapError> {
-        let named: Vec<&str> = self.named.iter().map(|n| n.name).collect();
-        self.explore_those(|e| !named.contains(&e.name()))
+        self.explore_those(self.not_named())
+    }
+
+    /// Tells effects that are not named yet.
+    fn not_named(&self) -> impl Fn(&dyn Latent) -> bool + use<> {
+        let named: Vec<&'static str> = self.named.iter().map(|n| n.name).collect();
+        move |e| !named.contains(&e.name())
     }
 
     /// Looks for those that are wanted.

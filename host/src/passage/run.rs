@@ -216,9 +216,8 @@ impl<'a> Passage<'a> {
         range_m: [f64; 2],
     ) -> Result<Self, SimulationError> {
         check(train, surface, law, journey)?;
-        let compliance_m_n = stepper.ground_m_n();
         let wheels = train.wheels.iter().enumerate();
-        let ground_m = wheels.map(|(i, w)| w.static_force_n * compliance_m_n[i % 2]).collect();
+        let ground_m = wheels.map(|(i, w)| w.static_force_n * stepper.ground_m_n[i % 2]).collect();
         Ok(Self { stepper, train, surface, law, journey, range_m, ground_m })
     }
 

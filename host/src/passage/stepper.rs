@@ -66,8 +66,8 @@ pub struct Stepper {
     rails: Rails,
     effective: Effective,
     influence: Influence,
-    /// See [`Stepper::ground_m_n`].
-    ground_m_n: [f64; 2],
+    /// Static deflection of the outer track under each rail per newton on both of them, m/N; none where a bed is not linear.
+    pub(super) ground_m_n: [f64; 2],
     pub(super) arch: pulp::Arch,
 }
 
@@ -103,11 +103,6 @@ impl Stepper {
             out.ground_m_n = out.outer_compliance_m_n()?;
         }
         Ok(out)
-    }
-
-    /// Static deflection of the outer track under each rail per newton on both of them, m/N; none where a bed is not linear.
-    pub fn ground_m_n(&self) -> [f64; 2] {
-        self.ground_m_n
     }
 
     fn outer_compliance_m_n(&self) -> Result<[f64; 2], SimulationError> {

@@ -125,7 +125,9 @@ fn turn_m(scene: &Scene) -> f64 {
     std::f64::consts::TAU * scene.world.crossing.vehicle.wheel_radius_m
 }
 
-fn flat(scene: &Scene, length_m: f64, at_m: f64) -> Flat {
+/// A flat at one of the places that are simulated.
+fn flat(scene: &Scene, length_m: f64, place: usize) -> Flat {
+    let at_m = place as f64 / PLACES as f64 * turn_m(scene);
     Flat::fresh(length_m, at_m, scene.world.crossing.vehicle.wheel_radius_m)
 }
 
@@ -133,7 +135,7 @@ fn flat(scene: &Scene, length_m: f64, at_m: f64) -> Flat {
 fn simulated(scene: &Scene, length_m: f64, passage: usize) -> Option<[Vec<Vec<f64>>; 2]> {
     let (o, turn_m) = (&scene.observed[passage], turn_m(scene));
     let of_place = |place: usize| {
-        let flat = flat(scene, length_m, place as f64 / PLACES as f64 * turn_m);
+        let flat = flat(scene, length_m, place);
         [0, 1].map(|axle| (axle, flat, meets_m(scene, flat, axle)))
     };
     let flats: Vec<(usize, Flat, f64)> = (0..PLACES).flat_map(of_place).collect();
@@ -186,19 +188,18 @@ fn paths(scene: &Scene, broad_m: f64) -> Vec<Vec<f64>> {
 /// than ℓ³.
 pub(super) fn factors_of_lengths(scene: &Scene, bursts: &Bursts) -> Option<Vec<(f64, f64)>> {
     let middle = scene.of_middle_speed(scene.train.to_vec());
-    let turn_m = turn_m(scene);
     // Where the flat meets the rail beside the sensor and away from the crossing's own impact.
     let (places, between) = ([PLACES / 6, 3 * PLACES / 4], bursts.between());
-    let flat_of = |length_m: f64, place: usize| flat(scene, length_m, place as f64 / PLACES as f64 * turn_m);
     let meets_m = |flat: Flat| meets_m(scene, flat, 0);
-    let halts_m = LENGTHS_M.iter().flat_map(|l| places.map(|place| meets_m(flat_of(*l, place)))).collect();
+    let halts_m =
+        LENGTHS_M.iter().flat_map(|l| places.map(|place| meets_m(flat(scene, *l, place)))).collect();
     let plain = Plain::of(&scene.observed[middle], scene.world, Detail::Full, halts_m).ok()?;
     let curve = LENGTHS_M
         .into_par_iter()
         .map(|length_m| {
             let (mut product, mut power) = (0.0, 0.0);
             for place in places {
-                let flat = flat_of(length_m, place);
+                let flat = flat(scene, length_m, place);
                 let departure = plain.departure(&plain.simulator().with_flat(0, flat), meets_m(flat)).ok()?;
                 let changed = plain.in_window(&departure, 0.0);
                 let burst = &bursts.windows[middle][0][place * between + between / 2];

@@ -10,6 +10,7 @@ mod departures;
 pub mod diagnosis;
 pub mod effect;
 pub mod effects;
+mod envelopes;
 pub mod equivalent;
 pub mod estimated_path;
 pub mod fit;

@@ -6,6 +6,7 @@ use rayon::prelude::*;
 use super::GapError;
 use super::data::{Observed, window_m};
 use super::effect::Effect;
+use super::envelopes::ahead_m;
 use super::fit::{Fit, FitOptions, Frame, Recall, State, fit, settled, values};
 use super::forward::Detail;
 use super::linear::{BogieResponses, Linear};
@@ -280,7 +281,7 @@ pub fn base(
         effect.apply(&mut world, &values(*effect, coordinates));
     }
     let linear = world.bed.is_linear();
-    align(&world, &mut observed, window)?;
+    find_places(&world, &mut observed, window)?;
     observed.par_iter_mut().for_each(|o| o.line_up(window));
     let grids = world.path.deviation.clone();
     let deviation_root = path_root(site, &grids, prior)?;
@@ -301,7 +302,7 @@ pub fn base(
     // With the ballast about right, a passage that had locked onto a neighbouring wave finds its place.
     let mut state = first.state;
     let world = state.world(&frame, &[]);
-    align(&world, &mut frame.observed, window)?;
+    find_places(&world, &mut frame.observed, window)?;
     state.shift_m.fill(0.0);
     let (responses, shapes) = linearise(&world, &frame.observed)?;
     frame.responses = responses;
@@ -386,7 +387,7 @@ fn linearise(world: &World, observed: &[Observed]) -> Result<(Vec<BogieResponses
             let r = linear.responses(o);
             // Wheels differ in what the sensor shows of them.
             let moves = linear.moves(o)?.map(|m| m.through_mount(&world.sensor));
-            let shapes = Shapes::new(&r.through_mount(&world.sensor), moves, &own);
+            let shapes = Shapes::new(&r.through_mount(&world.sensor), moves, &own, &world.sensor);
             Ok((r, shapes))
         })
         .collect::<Result<_, GapError>>()?;
@@ -396,16 +397,58 @@ fn linearise(world: &World, observed: &[Observed]) -> Result<(Vec<BogieResponses
 /// Search for the axle times, metres of travel in both directions.
 const ALIGN_M: f64 = 0.6;
 
+/// Moves the first axle of every passage to where a world's prediction fits best. Where some then lie a wave beside the others, all are
+/// moved to where they lie by these, and as one to where the prediction fits all of them best.
+fn find_places(world: &World, observed: &mut [Observed], window: (f64, f64)) -> Result<(), GapError> {
+    align(world, observed, window)?;
+    let Some(ahead_m) = ahead_m(observed) else { return Ok(()) };
+    let missed: Vec<Vec<f64>> = observed
+        .par_iter()
+        .zip(&ahead_m)
+        .map(|(o, ahead_m)| missed_around(world, o, *ahead_m))
+        .collect::<Result<_, GapError>>()?;
+    let all = |k: usize| missed.iter().map(|m| m[k]).sum::<f64>();
+    let best = (0..=2 * TOGETHER.1).min_by(|a, b| all(*a).total_cmp(&all(*b))).unwrap_or(TOGETHER.1);
+    observed.par_iter_mut().zip(&ahead_m).try_for_each(|(o, ahead_m)| {
+        o.delay((ahead_m + together_m(best)) / o.speed_m_s, window);
+        align_one(world, o, window, &[APART_M])
+    })
+}
+
+/// Step in which all passages are moved as one, metres, and number of steps in either direction.
+const TOGETHER: (f64, usize) = (0.05, 24);
+/// How far each may then still be beside its place, metres.
+const APART_M: f64 = 0.15;
+
+fn together_m(step: usize) -> f64 {
+    (step as f64 - TOGETHER.1 as f64) * TOGETHER.0
+}
+
+/// Part of a passage's squares that a world's prediction misses, where it is moved to the others and with them by every step.
+fn missed_around(world: &World, o: &Observed, ahead_m: f64) -> Result<Vec<f64>, GapError> {
+    let response = super::forward::Simulator::new(world, o.axle_load_kg)?.response(o.speed_m_s)?;
+    let gain = world.sensor.gain_at(o.temperature_c);
+    let whole = crate::signal::dot(&o.mean, &o.mean).max(f64::MIN_POSITIVE);
+    let at = |by_m: f64| o.misfit(&response, gain, (ahead_m + by_m) / o.speed_m_s) / whole;
+    let apart = (APART_M / TOGETHER.0).round() as i64;
+    let nearby = |step: usize| {
+        (-apart..=apart).map(|k| at(together_m(step) + k as f64 * TOGETHER.0)).fold(f64::INFINITY, f64::min)
+    };
+    Ok((0..=2 * TOGETHER.1).map(nearby).collect())
+}
+
 /// Moves the first axle of every passage to where a world's prediction fits best.
 pub fn align(world: &World, observed: &mut [Observed], window: (f64, f64)) -> Result<(), GapError> {
-    observed.par_iter_mut().try_for_each(|o| {
-        let response = super::forward::Simulator::new(world, o.axle_load_kg)?.response(o.speed_m_s)?;
-        for reach in [ALIGN_M, 0.2 * ALIGN_M] {
-            let late_s = o.lag(&response, world.sensor.gain_at(o.temperature_c), reach);
-            o.delay(late_s, window);
-        }
-        Ok(())
-    })
+    observed.par_iter_mut().try_for_each(|o| align_one(world, o, window, &[ALIGN_M, 0.2 * ALIGN_M]))
+}
+
+fn align_one(world: &World, o: &mut Observed, window: (f64, f64), reaches_m: &[f64]) -> Result<(), GapError> {
+    let response = super::forward::Simulator::new(world, o.axle_load_kg)?.response(o.speed_m_s)?;
+    for reach_m in reaches_m {
+        let late_s = o.lag(&response, world.sensor.gain_at(o.temperature_c), *reach_m);
+        o.delay(late_s, window);
+    }
+    Ok(())
 }
 
 /// Factors of the covariances of the mean windows.

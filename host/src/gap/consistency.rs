@@ -27,9 +27,9 @@ const PART: f64 = 0.15;
 impl Strangers {
     /// Compares all passages with the one that most resemble.
     pub fn among(observed: &[Observed]) -> Self {
-        let curves: Vec<Vec<f64>> = observed.iter().map(curve).collect();
+        let curves: Vec<Curve> = observed.iter().map(Curve::of).collect();
         let n = curves.len();
-        let alike = Mat::from_fn(n, n, |i, j| if i == j { 1.0 } else { resemblance(&curves[i], &curves[j]) });
+        let alike = Mat::from_fn(n, n, |i, j| if i == j { 1.0 } else { curves[i].resembles(&curves[j]) });
         let followers = |i: usize| (0..n).filter(|j| alike[(i, *j)] > ALIKE).count();
         let Some(middle) = (0..n).max_by_key(|i| followers(*i)) else { return Self::default() };
         let passage_id =
@@ -46,9 +46,33 @@ impl Strangers {
 /// What the wheels do to the sleeper is shorter than this, metres of travel; slow shifts of the baseline are the recorder's.
 const SLOW_M: f64 = 1.2;
 
-/// Mean window along the travel of the front axle, less what is slow in it.
-fn curve(o: &Observed) -> Vec<f64> {
-    without_slow(&window_along(o))
+/// What a passage does to the sleeper along the travel of the front axle.
+struct Curve {
+    /// Mean of its bogies, less what is slow in it, m/s².
+    mean: Vec<f64>,
+    /// Part of its squares that is not what single wheels make of it by chance.
+    common: f64,
+}
+
+/// Where less of two mean windows is common to their bogies, geometric mean, they tell nothing of one another.
+const LEAST_COMMON: f64 = 0.2;
+
+impl Curve {
+    fn of(o: &Observed) -> Self {
+        let bogies: Vec<Vec<f64>> = o.windows.iter().map(|w| without_slow(&along(o, w))).collect();
+        let mean = without_slow(&along(o, &o.mean));
+        let apart = |w: &Vec<f64>| w.iter().zip(&mean).map(|(w, m)| (w - m).powi(2)).sum::<f64>();
+        let scatter: f64 = bogies.iter().map(apart).sum();
+        let by_chance = scatter / (bogies.len() * bogies.len().saturating_sub(1)).max(1) as f64;
+        let common = (1.0 - by_chance / dot(&mean, &mean).max(f64::MIN_POSITIVE)).max(0.0);
+        Self { mean, common }
+    }
+
+    /// Correlation of what is common to the bogies of either passage.
+    fn resembles(&self, other: &Self) -> f64 {
+        let common = (self.common * other.common).sqrt();
+        if common < LEAST_COMMON { 1.0 } else { resemblance(&self.mean, &other.mean) / common }
+    }
 }
 
 fn without_slow(curve: &[f64]) -> Vec<f64> {
@@ -56,12 +80,12 @@ fn without_slow(curve: &[f64]) -> Vec<f64> {
     (0..curve.len()).map(|i| curve[i] - crate::signal::mean_around(curve, i, half)).collect()
 }
 
-fn window_along(o: &Observed) -> Vec<f64> {
+fn along(o: &Observed, window: &[f64]) -> Vec<f64> {
     let count = ((TRAVEL_M.1 - TRAVEL_M.0) / TRAVEL_M.2) as usize;
     (0..count)
         .map(|i| {
             let t = (TRAVEL_M.0 + i as f64 * TRAVEL_M.2) / o.speed_m_s - o.first_s;
-            between(&o.mean, t * RATE_HZ).unwrap_or(0.0)
+            between(window, t * RATE_HZ).unwrap_or(0.0)
         })
         .collect()
 }

@@ -142,10 +142,7 @@ impl Observed {
     pub fn lag(&self, response: &Response, gain: f64, range_m: f64) -> f64 {
         let step_s = LAG_STEP / RATE_HZ;
         let steps = (range_m / self.speed_m_s / step_s).ceil() as i64;
-        let misfit = |late_s: f64| {
-            let p = self.predicted_mean(response, gain, late_s);
-            self.mean.iter().zip(&p).map(|(m, p)| (m - p).powi(2)).sum::<f64>()
-        };
+        let misfit = |late_s: f64| self.misfit(response, gain, late_s);
         let best = (-steps..=steps)
             .map(|k| k as f64 * step_s)
             .map(|t| (t, misfit(t)))
@@ -155,6 +152,12 @@ impl Observed {
         let (l, m, r) = (misfit(best - h), misfit(best), misfit(best + h));
         let curvature = l - 2.0 * m + r;
         best + if curvature > 0.0 { (0.5 * h * (l - r) / curvature).clamp(-h, h) } else { 0.0 }
+    }
+
+    /// Squares by which the mean window misses a prediction that is later by `late_s`, (m/s²)².
+    pub fn misfit(&self, response: &Response, gain: f64, late_s: f64) -> f64 {
+        let predicted = self.predicted_mean(response, gain, late_s);
+        self.mean.iter().zip(&predicted).map(|(m, p)| (m - p).powi(2)).sum()
     }
 
     /// Times of the bogies after the first axle, s.

@@ -1,5 +1,6 @@
 //! The catalogue: one file per effect, registered here.
 
+mod around_wheels;
 mod axle_load;
 mod bias_step;
 mod ballast_mass;

@@ -11,9 +11,9 @@ use super::world::World;
 use crate::passage::contact::ContactLaw;
 use crate::passage::surface::GRID_M;
 use crate::passage::{
-    Bogie, Journey, PassageRecord, Profile, RunningSurface, SLEEPER_MODES, SimulationError, Start, Stepper,
-    Support, SupportLaw, TimeStep, TrackModel, Train, Underway, VehicleUnit, Wheel, WheelFlat, driven, halt,
-    resume, run,
+    Bogie, Journey, OutOfRoundness, PassageRecord, Profile, RunningSurface, SLEEPER_MODES, SimulationError,
+    Start, Stepper, Support, SupportLaw, TimeStep, TrackModel, Train, Underway, VehicleUnit, Wheel,
+    WheelFlat, driven, halt, resume, run,
 };
 use crate::signal::{AntiAlias, irfft, rfft, rfft_frequencies_hz, taper};
 use crate::track::{Mesh, Side, Track};
@@ -145,6 +145,15 @@ impl Simulator {
         let mut out = self.clone();
         for wheel in &mut out.train.wheels[2 * axle..2 * axle + 2] {
             wheel.flat = Some(flat);
+        }
+        out
+    }
+
+    /// The same with waves around both wheels of the front (0) or rear (1) wheelset.
+    pub fn with_waves(&self, axle: usize, waves: OutOfRoundness) -> Self {
+        let mut out = self.clone();
+        for wheel in &mut out.train.wheels[2 * axle..2 * axle + 2] {
+            wheel.out_of_roundness.push(waves);
         }
         out
     }

@@ -128,6 +128,11 @@ impl<'a> Scene<'a> {
             .collect()
     }
 
+    /// Passages that nothing is learned from.
+    pub fn held_out(&self) -> Vec<usize> {
+        (0..self.observed.len()).filter(|i| !self.train.contains(i)).collect()
+    }
+
     /// The one of some passages, at least one, whose speed is in the middle.
     pub fn of_middle_speed(&self, mut passages: Vec<usize>) -> usize {
         let speed = |i: &usize| self.observed[*i].speed_m_s;

@@ -11,6 +11,7 @@ use super::data::{RATE_HZ, stated_noise_m_s2};
 use super::forward::BAND_HZ;
 use super::linear::{BogieResponses, WheelMoves};
 use super::splines::PathSplines;
+use super::world::SensorModel;
 use crate::recording::Sensor;
 use crate::signal::{sum_in_order, taper};
 use crate::track::Side;
@@ -130,19 +131,21 @@ pub struct Shapes {
 /// there, and would otherwise tell that there is none.
 const OUT_OF_BAND_M_S2: f64 = 5e-3;
 
-/// Correlation of noise that is white up to the end of the band.
-fn band_noise(len: usize) -> Vec<f64> {
+/// Correlation of noise that is white up to the end of the band: mostly what the model leaves of motion, which the sensor's mount amplifies
+/// as it does motion.
+fn band_noise(len: usize, sensor: &SensorModel) -> Vec<f64> {
     const LINES: usize = 400;
+    let lines: Vec<(f64, f64)> = (0..LINES)
+        .map(|k| {
+            let f_hz = (k as f64 + 0.5) / LINES as f64 * 0.5 * RATE_HZ;
+            (f_hz, taper(f_hz, BAND_HZ[0], BAND_HZ[1]).powi(2))
+        })
+        .collect();
+    let whole: f64 = lines.iter().map(|(_, power)| power).sum();
     let at = |lag: usize| -> f64 {
-        (0..LINES)
-            .map(|k| {
-                let f_hz = (k as f64 + 0.5) / LINES as f64 * 0.5 * RATE_HZ;
-                let phase = std::f64::consts::TAU * f_hz * lag as f64 / RATE_HZ;
-                taper(f_hz, BAND_HZ[0], BAND_HZ[1]).powi(2) * phase.cos()
-            })
-            .sum()
+        let phase = |f_hz: f64| std::f64::consts::TAU * f_hz * lag as f64 / RATE_HZ;
+        lines.iter().map(|(f, power)| power * sensor.mounted(*f).norm_sqr() * phase(*f).cos()).sum()
     };
-    let whole = at(0);
     (0..len).map(|lag| at(lag) / whole).collect()
 }
 
@@ -175,8 +178,13 @@ impl OwnIrregularity {
 }
 
 impl Shapes {
-    /// For the windows of one passage.
-    pub fn new(responses: &BogieResponses, moves: [WheelMoves; 2], own: &OwnIrregularity) -> Self {
+    /// For the windows of one passage, as a sensor shows them.
+    pub fn new(
+        responses: &BogieResponses,
+        moves: [WheelMoves; 2],
+        own: &OwnIrregularity,
+        sensor: &SensorModel,
+    ) -> Self {
         let len = responses.profile[0].nrows();
         let mut parts: Vec<Mat<f64>> = (0..PARTS - 1).map(|_| Mat::zeros(len, len)).collect();
         let mut curvature = Mat::zeros(len, len);
@@ -195,7 +203,7 @@ impl Shapes {
                 parts[part] += &half * a.transpose();
             }
         }
-        Self { moves, parts, curvature, noise: band_noise(len), len }
+        Self { moves, parts, curvature, noise: band_noise(len, sensor), len }
     }
 
     /// Covariance of one bogie's window.
@@ -390,7 +398,7 @@ mod tests {
     fn property_sizes_are_found_again_in_drawn_windows() {
         let grids = PathSplines::level(3.4, [0.055, 0.11]);
         let (r, moves) = responses(&grids);
-        let shapes = Shapes::new(&r, moves, &OwnIrregularity::new(&grids));
+        let shapes = Shapes::new(&r, moves, &OwnIrregularity::new(&grids), &SensorModel::default());
         let truth = Variation {
             noise_m_s2: 0.04,
             load: 0.02,
@@ -418,7 +426,7 @@ mod tests {
 
     #[test]
     fn analytic_noise_of_a_band_is_one_at_lag_nought_and_falls_off() {
-        let r = band_noise(LEN);
+        let r = band_noise(LEN, &SensorModel::default());
         assert!((r[0] - 1.0).abs() < 1e-12);
         // White to 250 Hz and 3/8 of the squared taper's 50 Hz: sin(x)/x with x = pi 268.75/400 at lag 1.
         let x = std::f64::consts::PI * 268.75 / 400.0;

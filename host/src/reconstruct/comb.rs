@@ -25,7 +25,7 @@ const FLAT: f64 = 0.03;
 /// speeds from `low` to `high`.
 /// `None` for a silent recording, or one shorter than any train.
 pub fn comb(recording: &Recording, pattern: &AxlePattern, [low, high]: [f64; 2]) -> Option<(f64, f64)> {
-    let envelope = envelope(recording);
+    let (envelope, _) = envelope(recording);
     let total: f64 = envelope.iter().sum();
     if total <= 0.0 {
         return None;
@@ -55,8 +55,8 @@ fn middle_of_top(values: &[f64]) -> Option<usize> {
     Some((first + last) / 2)
 }
 
-/// Smoothed magnitude, held below a few times its mean under the train so that one hard wheel does not decide alone.
-fn envelope(recording: &Recording) -> Vec<f64> {
+/// Smoothed magnitude, m/s², held below a few times its mean under the train so that one hard wheel does not decide alone; and its rate, Hz.
+pub fn envelope(recording: &Recording) -> (Vec<f64>, f64) {
     let n = (recording.duration_s() * 2.0 * RATE_HZ) as usize;
     let low = recording.window(0.0, 2.0 * RATE_HZ, n, [BAND_HZ[0], 1.2 * BAND_HZ[0]]);
     let all = recording.window(0.0, 2.0 * RATE_HZ, n, [BAND_HZ[1], 1.2 * BAND_HZ[1]]);
@@ -64,7 +64,7 @@ fn envelope(recording: &Recording) -> Vec<f64> {
     let half = (SMOOTH_S * RATE_HZ) as usize;
     let smooth: Vec<f64> = (0..n / 2).map(|k| crate::signal::mean_around(&magnitude, 2 * k, half)).collect();
     let limit = 1.5 * crate::signal::quantile(&smooth, 0.9);
-    smooth.iter().map(|v| v.min(limit)).collect()
+    (smooth.iter().map(|v| v.min(limit)).collect(), RATE_HZ)
 }
 
 #[cfg(test)]

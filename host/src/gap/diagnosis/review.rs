@@ -101,7 +101,10 @@ impl Session<'_> {
         self.give_back(&before);
         let again = self.explore_those(|e| e.name() == effect.name())?.pop().and_then(|(_, found, _)| found);
         let found = again.filter(|f| likeness(f, &before) > THE_SAME).unwrap_or(before);
-        self.described_anew(effect, found);
+        match self.too_few(effect, &found) {
+            true => self.taken_back(effect.name()),
+            false => self.described_anew(effect, found),
+        }
         self.refit_variation()
     }
 

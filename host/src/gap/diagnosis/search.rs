@@ -148,13 +148,11 @@ impl Session<'_> {
             return Ok(true);
         }
         let misfit: f64 = reference.passages.iter().map(Whitened::squares).sum();
-        let rings = self.rings(&reference.state);
         let worn = self.worn();
         for c in &mut list {
-            let of_ringing = rings && c.acts_on == ActsOn::Wheels;
             let of_description = earlier.adrift && !c.beside_the_wheels() && !c.alike;
             let of_mean = worn && c.acts_on == ActsOn::Panel && !c.by_far();
-            if of_ringing || of_description || of_mean || !self.worth_naming(c, earlier, misfit) {
+            if of_description || of_mean || !self.worth_naming(c, earlier, misfit) {
                 c.gain = c.gain.min(0.5 * LEAST_GAIN);
             }
         }
@@ -207,7 +205,7 @@ impl Session<'_> {
     }
 
     /// Effects of single wheels in the model.
-    fn of_wheels(&self) -> usize {
+    pub(super) fn of_wheels(&self) -> usize {
         self.latent_fits.iter().filter(|(e, _)| e.acts_on() == ActsOn::Wheels).count()
     }
 
@@ -218,9 +216,9 @@ impl Session<'_> {
 
     /// Whether a mount rings on so that what wheels do by nature does not describe how they differ: waves at its frequency would pass
     /// for those of wheels.
-    fn rings(&self, state: &State) -> bool {
+    pub(super) fn rings(&self) -> bool {
         let sensor = &self.base.frame.base.crossing.sensor;
-        let mount = state.world(&self.base.frame, &self.accepted).sensor.mount;
+        let mount = self.state().world(&self.base.frame, &self.accepted).sensor.mount;
         mount.is_some() && self.base.variation.noisy(sensor)
     }
 
@@ -302,8 +300,11 @@ impl Session<'_> {
         if let Some(t) = tried.iter_mut().find(|t| t.effect.name() == name) {
             self.accepted.push(t.effect);
             self.fit = t.fit.take();
-        } else if let Some((effect, Some(found))) =
-            latent.drain(..).map(|(e, f, _)| (e, f)).find(|(e, _)| e.name() == name)
+        } else if let Some((effect, Some(found))) = latent
+            .iter()
+            .position(|(e, ..)| e.name() == name)
+            .map(|k| latent.swap_remove(k))
+            .map(|(e, f, _)| (e, f))
         {
             named.parameters = found.parameters.clone();
             self.take_out(effect, found);

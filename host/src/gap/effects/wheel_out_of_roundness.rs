@@ -3,11 +3,14 @@
 //! The wave runs along the rail with a fixed wavelength 2πR/n, so its frequency follows the speed, and its phase differs
 //! from wheel to wheel, which no property of the panel can do. 0.1 mm at order 5 is a bad wheel.
 
-use std::sync::LazyLock;
+mod simulated;
+
+use std::sync::{Arc, LazyLock};
 
 use faer::Mat;
 use rayon::prelude::*;
 
+use super::around_wheels::Found;
 use crate::gap::effect::{Advice, Stage};
 use crate::gap::fit::whitened;
 use crate::gap::latent::{Latent, LatentFit, Scene, best_share, responsibility, times};
@@ -27,6 +30,9 @@ static PHASES: LazyLock<[[f64; 2]; 24]> = LazyLock::new(|| {
         [c, s]
     })
 });
+/// Most simulations, each of waves as high as the last ones say; none more where that is within a tenth.
+const ROUNDS: usize = 3;
+const AS_SIMULATED: f64 = 0.1;
 /// Cost of choosing order, amplitude and share, nats: 16 orders, and two well-determined numbers.
 const CHOICE: f64 = 8.0;
 
@@ -105,22 +111,51 @@ impl Latent for WheelOutOfRoundness {
         if net <= 0.0 || amplitudes().all(|a| a <= amplitude) {
             return None;
         }
-        let (lower, upper) = interval(&of_train(order), share, amplitude, score);
-        let waves = waves(scene, order);
-        let of = |(i, views)| windows(scene, i, &shown(views, &waves), &waves, (amplitude, share));
-        let windows = views.iter().enumerate().map(of).collect();
+        let told = match simulated(scene, order, amplitude) {
+            Some(waves) => Told { gain: waves.gain - (score - net), ..waves },
+            None => {
+                let waves = waves(scene, order);
+                let of = |(i, views)| windows(scene, i, &shown(views, &waves), &waves, (amplitude, share));
+                Told {
+                    gain: net,
+                    amplitude_m: amplitude,
+                    interval_m: interval(&of_train(order), share, amplitude, score),
+                    share,
+                    windows: views.iter().enumerate().map(of).collect(),
+                }
+            }
+        };
+        Some(told.found(scene, order))
+    }
+}
+
+/// Waves of an order.
+struct Told {
+    /// Nats.
+    gain: f64,
+    amplitude_m: f64,
+    interval_m: (f64, f64),
+    /// Of the wheelsets that have them.
+    share: f64,
+    /// What they add to the windows: passage, bogie, sample.
+    windows: Vec<Vec<Vec<f64>>>,
+}
+
+impl Told {
+    fn found(self, scene: &Scene, order: u32) -> LatentFit {
+        let Self { gain, amplitude_m, interval_m: (lower, upper), share, windows } = self;
         let (windows, traces) = scene.around_wheels(windows);
         let order = f64::from(order);
-        Some(LatentFit {
+        LatentFit {
             apart: false,
-            gain: net,
+            gain,
             parameters: vec![
                 ("order", order, order, order),
                 (
                     "amplitude_m",
-                    amplitude,
-                    lower.min((1.0 - AMPLITUDE_ERROR) * amplitude),
-                    upper.max((1.0 + AMPLITUDE_ERROR) * amplitude),
+                    amplitude_m,
+                    lower.min((1.0 - AMPLITUDE_ERROR) * amplitude_m),
+                    upper.max((1.0 + AMPLITUDE_ERROR) * amplitude_m),
                 ),
                 ("share", share, share * 0.7, (share * 1.3).min(1.0)),
             ],
@@ -128,8 +163,37 @@ impl Latent for WheelOutOfRoundness {
             wheel_share: Some(share),
             windows,
             traces,
-        })
+        }
     }
+}
+
+/// Simulated waves of an order, as high as they seem to be, beginning with what the linear response says.
+fn simulated(scene: &Scene, order: u32, linear_m: f64) -> Option<Told> {
+    let mut best: Option<(f64, Found)> = None;
+    let mut amplitude_m = linear_m;
+    for _ in 0..ROUNDS {
+        let around = Arc::new(simulated::waves(scene, (order, amplitude_m))?);
+        let found = Found::described(scene, &around)?;
+        if best.as_ref().is_some_and(|(_, before)| found.score <= before.score) {
+            break;
+        }
+        let (simulated_m, factor) = (amplitude_m, found.factor);
+        best = Some((simulated_m, found));
+        if (factor - 1.0).abs() < AS_SIMULATED {
+            break;
+        }
+        amplitude_m *= factor;
+    }
+    let (simulated_m, mut found) = best?;
+    simulated::complete(scene, (order, simulated_m), Arc::make_mut(&mut found.around))?;
+    let (lower, upper) = found.interval();
+    Some(Told {
+        gain: found.score,
+        amplitude_m: simulated_m * found.factor,
+        interval_m: (simulated_m * lower, simulated_m * upper),
+        share: found.share,
+        windows: found.windows(),
+    })
 }
 
 /// What other orders gain as well: wheels that simply differ more than usual gain at all of them, a polygon at its own. One that leaves
@@ -142,8 +206,9 @@ fn elsewhere(scores: impl Iterator<Item = (u32, f64)>, order: u32) -> f64 {
     others.get(1).map_or(0.0, |second| second.max(0.0))
 }
 
-/// What the linear response leaves out: wheels that leave the rail on their waves.
-const AMPLITUDE_ERROR: f64 = 0.25;
+/// What is not in the model with the waves lets the amplitude not be known better than this, relative: simulated ones came out 5 % low to
+/// 3 % high on 17 sites of trials, and 13 % low beside ballast that moves.
+const AMPLITUDE_ERROR: f64 = 0.16;
 
 fn amplitudes() -> impl Iterator<Item = f64> {
     (0..AMPLITUDES.2).map(|i| AMPLITUDES.0 * AMPLITUDES.1.powi(i as i32))

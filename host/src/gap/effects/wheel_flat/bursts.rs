@@ -1,9 +1,12 @@
 //! What flats add to the windows, at every place around the wheel: linear, which is quick and tells whether any are there, and simulated,
 //! which knows that a wheel does not follow its flat.
 
+use std::sync::Arc;
+
 use faer::Mat;
 use rayon::prelude::*;
 
+use super::super::around_wheels::{Added, Around};
 use crate::gap::departures::Plain;
 use crate::gap::forward::Detail;
 use crate::gap::latent::{Scene, times};
@@ -31,15 +34,12 @@ const BEFORE_M: f64 = 0.01;
 /// Lengths simulated, metres.
 pub(super) const LENGTHS_M: [f64; 7] = [0.02, 0.03, 0.04, 0.05, 0.065, 0.08, 0.1];
 
-/// What flats of one size add to the windows of the passages, front and rear, at every place around the wheel.
+/// Flats of one size at every place around the wheel.
 #[derive(Clone)]
 pub(super) struct Bursts {
-    /// Empty where they are not simulated.
-    pub(super) windows: Vec<[Vec<Vec<f64>>; 2]>,
+    pub(super) around: Arc<Around>,
     /// Length of simulated flats, metres.
     length_m: Option<f64>,
-    /// Factors of it that are tried: first, ratio, number.
-    factors: (f64, f64, usize),
 }
 
 impl Bursts {
@@ -57,31 +57,26 @@ impl Bursts {
         let paths = paths(scene, broad_m);
         let of = |profile: &Mat<f64>| paths.iter().map(|p| times(profile, p)).collect();
         let windows = scene.responses.par_iter().map(|r| r.profile.each_ref().map(of)).collect();
-        Self { windows, length_m: None, factors: AREAS }
+        // What the crossing makes of single wheels passes for them.
+        let mute = inside_crossing(scene, 1);
+        Self { around: Arc::new(Around { windows, factors: AREAS, mute }), length_m: None }
     }
 
     /// Simulated in the training passages: what a wheel does that does not follow its flat.
     pub(super) fn simulated(scene: &Scene, length_m: f64) -> Option<Self> {
         let windows = vec![[Vec::new(), Vec::new()]; scene.observed.len()];
-        let mut out = Self { windows, length_m: Some(length_m), factors: FACTORS };
-        out.simulate(scene, scene.train)?;
-        Some(out)
+        let mut around = Around { windows, factors: FACTORS, mute: vec![false; PLACES * BETWEEN] };
+        around.simulate(scene.train, |i| simulated(scene, length_m, i))?;
+        Some(Self { around: Arc::new(around), length_m: Some(length_m) })
     }
 
-    /// The same in all other passages.
-    pub(super) fn complete(&mut self, scene: &Scene) -> Option<()> {
-        let others = (0..scene.observed.len()).filter(|i| !scene.train.contains(i));
-        self.simulate(scene, &others.collect::<Vec<_>>())
-    }
-
-    fn simulate(&mut self, scene: &Scene, passages: &[usize]) -> Option<()> {
-        let Some(length_m) = self.length_m else { return Some(()) };
-        let of = |passage: &usize| simulated(scene, length_m, *passage);
-        let found: Vec<[Vec<Vec<f64>>; 2]> = passages.par_iter().map(of).collect::<Option<_>>()?;
-        for (passage, windows) in passages.iter().zip(found) {
-            self.windows[*passage] = windows;
+    /// What simulated flats add in all other passages as well.
+    pub(super) fn completed(&self, scene: &Scene) -> Option<Arc<Around>> {
+        let mut around = Arc::clone(&self.around);
+        if let Some(length_m) = self.length_m {
+            Arc::make_mut(&mut around).simulate(&scene.held_out(), |i| simulated(scene, length_m, i))?;
         }
-        Some(())
+        Some(around)
     }
 
     /// Places for one that is simulated.
@@ -89,30 +84,21 @@ impl Bursts {
         if self.length_m.is_some() { BETWEEN } else { 1 }
     }
 
-    /// Places that say nothing: those inside the crossing, unless the flats are simulated there.
-    pub(super) fn mute(&self, scene: &Scene) -> Vec<bool> {
-        if self.length_m.is_some() {
-            vec![false; PLACES * self.between()]
-        } else {
-            self.inside_crossing(scene)
-        }
-    }
-
     /// Places around the wheel at which a flat meets the rail inside the crossing.
     pub(super) fn inside_crossing(&self, scene: &Scene) -> Vec<bool> {
-        let turn_m = turn_m(scene);
-        let middle = scene.world.crossing.traffic_direction.sign() * CROSSING_M.0;
-        let inside = |p: usize| {
-            let at_m = at(p, self.between()) / PLACES as f64 * turn_m;
-            from_nearest(at_m - middle, turn_m).abs() < CROSSING_M.1
-        };
-        (0..PLACES * self.between()).map(inside).collect()
+        inside_crossing(scene, self.between())
     }
+}
 
-    pub(super) fn factors(&self) -> Vec<f64> {
-        let (first, ratio, number) = self.factors;
-        (0..number).map(|i| first * ratio.powi(i as i32)).collect()
-    }
+/// The same for some places for one that is simulated.
+fn inside_crossing(scene: &Scene, between: usize) -> Vec<bool> {
+    let turn_m = turn_m(scene);
+    let middle = scene.world.crossing.traffic_direction.sign() * CROSSING_M.0;
+    let inside = |p: usize| {
+        let at_m = at(p, between) / PLACES as f64 * turn_m;
+        from_nearest(at_m - middle, turn_m).abs() < CROSSING_M.1
+    };
+    (0..PLACES * between).map(inside).collect()
 }
 
 /// Where the place of an index is, in steps from the first of those that are simulated, where there are some `between` two of them.
@@ -132,7 +118,7 @@ fn flat(scene: &Scene, length_m: f64, place: usize) -> Flat {
 }
 
 /// Windows of a passage with a flat at every place of the front wheelset, and of the rear one.
-fn simulated(scene: &Scene, length_m: f64, passage: usize) -> Option<[Vec<Vec<f64>>; 2]> {
+fn simulated(scene: &Scene, length_m: f64, passage: usize) -> Option<Added> {
     let (o, turn_m) = (&scene.observed[passage], turn_m(scene));
     let of_place = |place: usize| {
         let flat = flat(scene, length_m, place);
@@ -202,7 +188,7 @@ pub(super) fn factors_of_lengths(scene: &Scene, bursts: &Bursts) -> Option<Vec<(
                 let flat = flat(scene, length_m, place);
                 let departure = plain.departure(&plain.simulator().with_flat(0, flat), meets_m(flat)).ok()?;
                 let changed = plain.in_window(&departure, 0.0);
-                let burst = &bursts.windows[middle][0][place * between + between / 2];
+                let burst = &bursts.around.windows[middle][0][place * between + between / 2];
                 product += dot(burst, &changed);
                 power += dot(burst, burst);
             }

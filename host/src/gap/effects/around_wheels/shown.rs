@@ -1,4 +1,4 @@
-//! What the windows of bogies show for flats.
+//! What the windows of bogies show for a defect at every place around the wheel.
 
 use std::sync::Arc;
 
@@ -6,6 +6,7 @@ use faer::Mat;
 use faer::linalg::solvers::Llt;
 use rayon::prelude::*;
 
+use super::Added;
 use crate::gap::fit::whitened;
 use crate::gap::latent::Scene;
 use crate::gap::variation::Variation;
@@ -14,7 +15,7 @@ use crate::signal::dot;
 /// exp of less than this is lost beside 1.
 const NOTHING: f64 = -50.0;
 
-/// What a window shows for a flat of unit size at every place of one of its wheelsets: b = cᵀy, g = cᵀc.
+/// What a window shows for a defect of unit size at every place of one of its wheelsets: b = cᵀy, g = cᵀc.
 #[derive(Clone)]
 pub(super) struct Shown {
     b: Vec<f64>,
@@ -55,7 +56,7 @@ impl Shown {
     }
 }
 
-/// What the window of a bogie shows for flats on its two wheelsets. A burst of one of them looks much like one of the other.
+/// What the window of a bogie shows for defects of its two wheelsets. A flat's burst of one of them looks much like one of the other.
 #[derive(Clone)]
 pub(super) struct OfBogie {
     pub(super) axles: [Shown; 2],
@@ -64,7 +65,7 @@ pub(super) struct OfBogie {
 }
 
 impl OfBogie {
-    /// Both wheelsets with flats: the one that explains more, and the other beside the likeliest place of that.
+    /// Both wheelsets with defects: the one that explains more, and the other beside the likeliest place of that.
     pub(super) fn one_after_another(&self, factor: f64) -> (usize, Shown) {
         self.beside(factor, self.tops(factor))
     }
@@ -83,7 +84,7 @@ impl OfBogie {
         (first, second)
     }
 
-    /// Log likelihood ratios of flats on the front wheelset, on the rear one, and on both.
+    /// Log likelihood ratios of a defect of the front wheelset, of the rear one, and of both.
     pub(super) fn gains(&self, factor: f64) -> [f64; 3] {
         let tops = self.tops(factor);
         let [front, rear] = [0, 1].map(|axle| self.axles[axle].gain(factor, tops[axle].1));
@@ -91,7 +92,7 @@ impl OfBogie {
         [front, rear, [front, rear][first] + second.gain(factor, second.top(factor).1)]
     }
 
-    /// Probabilities of no flats, and of those of [`Self::gains`], where a share of the wheelsets have them; and the log likelihood
+    /// Probabilities of no defect, and of those of [`Self::gains`], where a share of the wheelsets have them; and the log likelihood
     /// ratio of all together.
     pub(super) fn posterior(gains: [f64; 3], share: f64) -> ([f64; 4], f64) {
         let (q, p) = (share, 1.0 - share);
@@ -122,8 +123,8 @@ pub(super) fn seen(scene: &Scene, variation: &Variation) -> Vec<Seen> {
 
 impl Seen {
     /// All bogies.
-    pub(super) fn shown(&self, bursts: &[Vec<Vec<f64>>; 2], mute: &[bool]) -> Vec<OfBogie> {
-        let [front, rear] = bursts.each_ref().map(|places| {
+    pub(super) fn shown(&self, added: &Added, mute: &[bool]) -> Vec<OfBogie> {
+        let [front, rear] = added.each_ref().map(|places| {
             let plain = Mat::from_fn(self.windows.nrows(), places.len(), |k, p| places[p][k]);
             self.factor.as_ref().map_or_else(|| plain.clone(), |f| whitened(f, &plain))
         });
@@ -141,7 +142,7 @@ impl Seen {
             .collect()
     }
 
-    /// Log likelihood of the windows without flats.
+    /// Log likelihood of the windows without defects.
     pub(super) fn log_likelihood(&self) -> f64 {
         let Some(factor) = &self.factor else { return f64::NEG_INFINITY };
         let windows = (0..self.windows.ncols()).map(|c| self.windows.col_as_slice(c));

@@ -231,6 +231,8 @@ pub struct Given {
     pub sensor: SensorModel,
     /// Effects over which it is fitted, which are not in the frame afterwards.
     pub effects: Vec<Form>,
+    /// Something has been taken off the recordings that may have led trains astray.
+    pub cleaned: bool,
 }
 
 /// An effect with the coordinates of its parameters.
@@ -239,7 +241,7 @@ pub type Form = (&'static dyn Effect, Vec<f64>);
 impl Given {
     /// Nothing but the recorder.
     pub fn recorder(sensor: SensorModel) -> Self {
-        Self { sensor, effects: Vec::new() }
+        Self { sensor, ..Self::default() }
     }
 }
 
@@ -281,7 +283,8 @@ pub fn base(
         effect.apply(&mut world, &values(*effect, coordinates));
     }
     let linear = world.bed.is_linear();
-    find_places(&world, &mut observed, window)?;
+    let place = if given.cleaned { find_places } else { align };
+    place(&world, &mut observed, window)?;
     observed.par_iter_mut().for_each(|o| o.line_up(window));
     let grids = world.path.deviation.clone();
     let deviation_root = path_root(site, &grids, prior)?;
@@ -302,7 +305,7 @@ pub fn base(
     // With the ballast about right, a passage that had locked onto a neighbouring wave finds its place.
     let mut state = first.state;
     let world = state.world(&frame, &[]);
-    find_places(&world, &mut frame.observed, window)?;
+    place(&world, &mut frame.observed, window)?;
     state.shift_m.fill(0.0);
     let (responses, shapes) = linearise(&world, &frame.observed)?;
     frame.responses = responses;
@@ -398,17 +401,22 @@ fn linearise(world: &World, observed: &[Observed]) -> Result<(Vec<BogieResponses
 const ALIGN_M: f64 = 0.6;
 
 /// Moves the first axle of every passage to where a world's prediction fits best. Where some then lie a wave beside the others, all are
-/// moved to where they lie by these, and as one to where the prediction fits all of them best.
+/// moved to where they lie by these, and as one to where the prediction fits all of them best, if it fits them far better there.
 fn find_places(world: &World, observed: &mut [Observed], window: (f64, f64)) -> Result<(), GapError> {
     align(world, observed, window)?;
     let Some(ahead_m) = ahead_m(observed) else { return Ok(()) };
-    let missed: Vec<Vec<f64>> = observed
+    let (here, missed): (Vec<f64>, Vec<Vec<f64>>) = observed
         .par_iter()
         .zip(&ahead_m)
         .map(|(o, ahead_m)| missed_around(world, o, *ahead_m))
-        .collect::<Result<_, GapError>>()?;
+        .collect::<Result<Vec<_>, GapError>>()?
+        .into_iter()
+        .unzip();
     let all = |k: usize| missed.iter().map(|m| m[k]).sum::<f64>();
     let best = (0..=2 * TOGETHER.1).min_by(|a, b| all(*a).total_cmp(&all(*b))).unwrap_or(TOGETHER.1);
+    if all(best) > FAR_BETTER * here.iter().sum::<f64>() {
+        return Ok(());
+    }
     observed.par_iter_mut().zip(&ahead_m).try_for_each(|(o, ahead_m)| {
         o.delay((ahead_m + together_m(best)) / o.speed_m_s, window);
         align_one(world, o, window, &[APART_M])
@@ -419,22 +427,27 @@ fn find_places(world: &World, observed: &mut [Observed], window: (f64, f64)) -> 
 const TOGETHER: (f64, usize) = (0.05, 24);
 /// How far each may then still be beside its place, metres.
 const APART_M: f64 = 0.15;
+/// What the prediction misses of all passages must become less than this part of what it misses where they were.
+const FAR_BETTER: f64 = 0.7;
 
 fn together_m(step: usize) -> f64 {
     (step as f64 - TOGETHER.1 as f64) * TOGETHER.0
 }
 
-/// Part of a passage's squares that a world's prediction misses, where it is moved to the others and with them by every step.
-fn missed_around(world: &World, o: &Observed, ahead_m: f64) -> Result<Vec<f64>, GapError> {
+/// Part of a passage's squares that a world's prediction misses: where the passage is, and where it is moved to the others and with them by
+/// every step.
+fn missed_around(world: &World, o: &Observed, ahead_m: f64) -> Result<(f64, Vec<f64>), GapError> {
     let response = super::forward::Simulator::new(world, o.axle_load_kg)?.response(o.speed_m_s)?;
     let gain = world.sensor.gain_at(o.temperature_c);
     let whole = crate::signal::dot(&o.mean, &o.mean).max(f64::MIN_POSITIVE);
-    let at = |by_m: f64| o.misfit(&response, gain, (ahead_m + by_m) / o.speed_m_s) / whole;
+    let at = |by_m: f64| o.misfit(&response, gain, by_m / o.speed_m_s) / whole;
     let apart = (APART_M / TOGETHER.0).round() as i64;
     let nearby = |step: usize| {
-        (-apart..=apart).map(|k| at(together_m(step) + k as f64 * TOGETHER.0)).fold(f64::INFINITY, f64::min)
+        (-apart..=apart)
+            .map(|k| at(ahead_m + together_m(step) + k as f64 * TOGETHER.0))
+            .fold(f64::INFINITY, f64::min)
     };
-    Ok((0..=2 * TOGETHER.1).map(nearby).collect())
+    Ok((at(0.0), (0..=2 * TOGETHER.1).map(nearby).collect()))
 }
 
 /// Moves the first axle of every passage to where a world's prediction fits best.

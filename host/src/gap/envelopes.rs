@@ -55,7 +55,10 @@ fn along(o: &Observed, places: usize) -> Vec<f64> {
 fn correlation(curve: &[f64], other: &[f64], shift: i64) -> f64 {
     let (from, until) = (shift.max(0) as usize, (-shift).max(0) as usize);
     let (a, b) = (&curve[from..curve.len() - until], &other[until..other.len() - from]);
-    let about = |v: &[f64]| -> Vec<f64> { v.iter().map(|x| x - mean(v)).collect() };
+    let about = |v: &[f64]| -> Vec<f64> {
+        let middle = mean(v);
+        v.iter().map(|x| x - middle).collect()
+    };
     let (a, b) = (about(a), about(b));
     dot(&a, &b) / (dot(&a, &a) * dot(&b, &b)).sqrt().max(f64::MIN_POSITIVE)
 }

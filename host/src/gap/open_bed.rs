@@ -107,7 +107,13 @@ impl OpenBed {
 
     fn of(task: Task, form: &[Form]) -> Result<Self, GapError> {
         let Task { site, searched, prior, sensor, .. } = task;
-        let base = base(site, searched, searched, prior, &Given { sensor, effects: form.to_vec() })?;
+        let base = base(
+            site,
+            searched,
+            searched,
+            prior,
+            &Given { effects: form.to_vec(), ..Given::recorder(sensor) },
+        )?;
         let frame = &base.frame;
         let (effects, coordinates): (Vec<&'static dyn Effect>, Vec<Vec<f64>>) = form.iter().cloned().unzip();
         let start = State { effects: coordinates, ..base.fit.state.clone() };

@@ -24,7 +24,7 @@ impl Session<'_> {
             &self.split.train,
             self.search,
             path_prior,
-            &Given::recorder(sensor),
+            &Given { cleaned: true, ..Given::recorder(sensor) },
         )?;
         let before = &self.base.frame.observed;
         if fresh.frame.observed.len() != before.len() {

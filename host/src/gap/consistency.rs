@@ -61,10 +61,7 @@ impl Curve {
     fn of(o: &Observed) -> Self {
         let bogies: Vec<Vec<f64>> = o.windows.iter().map(|w| without_slow(&along(o, w))).collect();
         let mean = without_slow(&along(o, &o.mean));
-        let apart = |w: &Vec<f64>| w.iter().zip(&mean).map(|(w, m)| (w - m).powi(2)).sum::<f64>();
-        let scatter: f64 = bogies.iter().map(apart).sum();
-        let by_chance = scatter / (bogies.len() * bogies.len().saturating_sub(1)).max(1) as f64;
-        let common = (1.0 - by_chance / dot(&mean, &mean).max(f64::MIN_POSITIVE)).max(0.0);
+        let common = common(&bogies, &mean);
         Self { mean, common }
     }
 
@@ -73,6 +70,14 @@ impl Curve {
         let common = (self.common * other.common).sqrt();
         if common < LEAST_COMMON { 1.0 } else { resemblance(&self.mean, &other.mean) / common }
     }
+}
+
+/// Part of a mean's squares that is not what chance makes of it.
+fn common(bogies: &[Vec<f64>], mean: &[f64]) -> f64 {
+    let apart = |w: &Vec<f64>| w.iter().zip(mean).map(|(w, m)| (w - m).powi(2)).sum::<f64>();
+    let scatter: f64 = bogies.iter().map(apart).sum();
+    let by_chance = scatter / (bogies.len() * bogies.len().saturating_sub(1)).max(1) as f64;
+    (1.0 - by_chance / dot(mean, mean).max(f64::MIN_POSITIVE)).max(0.0)
 }
 
 fn without_slow(curve: &[f64]) -> Vec<f64> {
@@ -118,6 +123,22 @@ mod tests {
         };
         assert!(resemblance(&wave(0.0, 0.2), &wave(20.0, 0.2)) > 0.99);
         assert!(resemblance(&wave(0.0, 0.2), &wave(0.0, 0.7)) < 0.2);
+    }
+
+    /// Two bogies that differ by 2 n about a mean m: n² of it is chance.
+    #[test]
+    fn analytic_part_of_a_mean_that_is_common() {
+        let mean = [3.0, -1.0, 2.0];
+        let bogies = [vec![4.0, -1.0, 1.0], vec![2.0, -1.0, 3.0]];
+        assert!((common(&bogies, &mean) - (1.0 - 2.0 / 14.0)).abs() < 1e-12);
+        // Of two means that are half chance a correlation of a half is all there can be; of such that are chance nothing is told.
+        let of = |common: f64, turn: f64| {
+            let mean = (0..200).map(|i| (turn * f64::from(i)).sin()).collect();
+            Curve { mean, common }
+        };
+        assert!((of(0.5, 0.3).resembles(&of(0.5, 0.3)) - 2.0).abs() < 1e-9);
+        assert!(of(0.5, 0.3).resembles(&of(0.5, 0.8)) < 0.3);
+        assert_eq!(of(0.1, 0.3).resembles(&of(0.1, 0.8)), 1.0);
     }
 
     /// Baselines of a transducer that drift by several times the signal: the curves under them are the same.

@@ -125,7 +125,7 @@ impl Latent for WheelOutOfRoundness {
                 }
             }
         };
-        Some(told.found(scene, order))
+        (told.gain > 0.0).then(|| told.found(scene, order))
     }
 }
 

@@ -135,16 +135,14 @@ const OUT_OF_BAND_M_S2: f64 = 5e-3;
 /// as it does motion.
 fn band_noise(len: usize, sensor: &SensorModel) -> Vec<f64> {
     const LINES: usize = 400;
-    let lines: Vec<(f64, f64)> = (0..LINES)
-        .map(|k| {
-            let f_hz = (k as f64 + 0.5) / LINES as f64 * 0.5 * RATE_HZ;
-            (f_hz, taper(f_hz, BAND_HZ[0], BAND_HZ[1]).powi(2))
-        })
-        .collect();
-    let whole: f64 = lines.iter().map(|(_, power)| power).sum();
+    let frequencies_hz = (0..LINES).map(|k| (k as f64 + 0.5) / LINES as f64 * 0.5 * RATE_HZ);
+    let power = |f_hz: f64| taper(f_hz, BAND_HZ[0], BAND_HZ[1]).powi(2);
+    let whole: f64 = frequencies_hz.clone().map(power).sum();
+    let lines: Vec<(f64, f64)> =
+        frequencies_hz.map(|f_hz| (f_hz, power(f_hz) * sensor.mounted(f_hz).norm_sqr())).collect();
     let at = |lag: usize| -> f64 {
         let phase = |f_hz: f64| std::f64::consts::TAU * f_hz * lag as f64 / RATE_HZ;
-        lines.iter().map(|(f, power)| power * sensor.mounted(*f).norm_sqr() * phase(*f).cos()).sum()
+        lines.iter().map(|(f, shown)| shown * phase(*f).cos()).sum()
     };
     (0..len).map(|lag| at(lag) / whole).collect()
 }

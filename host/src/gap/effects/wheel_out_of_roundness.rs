@@ -13,7 +13,7 @@ use rayon::prelude::*;
 use super::around_wheels::Found;
 use crate::gap::effect::{Advice, Stage};
 use crate::gap::fit::whitened;
-use crate::gap::latent::{Latent, LatentFit, Scene, best_share, responsibility, times};
+use crate::gap::latent::{Latent, LatentFit, Scene, best_share, times};
 use crate::signal::dot;
 
 /// See the module.
@@ -54,17 +54,6 @@ impl Shown {
         let top = gains.clone().fold(f64::NEG_INFINITY, f64::max);
         top + (gains.map(|g| (g - top).exp()).sum::<f64>() / PHASES.len() as f64).ln()
     }
-
-    /// Posterior mean of (amplitude cos φ, amplitude sin φ).
-    fn mean(&self, amplitude: f64) -> [f64; 2] {
-        let top = PHASES.iter().map(|p| self.gain_at(amplitude, *p)).fold(f64::NEG_INFINITY, f64::max);
-        let (mut sum, mut c, mut s) = (0.0, 0.0, 0.0);
-        for p in PHASES.iter() {
-            let w = (self.gain_at(amplitude, *p) - top).exp();
-            (sum, c, s) = (sum + w, c + w * p[0], s + w * p[1]);
-        }
-        [amplitude * c / sum, amplitude * s / sum]
-    }
 }
 
 impl Latent for WheelOutOfRoundness {
@@ -90,41 +79,26 @@ impl Latent for WheelOutOfRoundness {
             let waves = waves(scene, order);
             scene.train.iter().flat_map(|i| shown(&views[*i], &waves)).collect()
         };
-        let scores: Vec<(f64, u32, f64, f64)> = ORDERS
+        let scores: Vec<(f64, u32, f64)> = ORDERS
             .into_par_iter()
             .map(|order| {
                 let shown = of_train(order);
-                let (score, amplitude, share) = amplitudes()
-                    .map(|a| {
-                        let gains: Vec<f64> = shown.iter().map(|s| s.gain(a)).collect();
-                        let (score, share) = best_share(&gains);
-                        (score, a, share)
-                    })
+                let score = |a: f64| best_share(&shown.iter().map(|s| s.gain(a)).collect::<Vec<_>>()).0;
+                let (score, amplitude) = amplitudes()
+                    .map(|a| (score(a), a))
                     .max_by(|a, b| a.0.total_cmp(&b.0))
-                    .unwrap_or((0.0, 0.0, 0.0));
-                (score, order, amplitude, share)
+                    .unwrap_or((0.0, 0.0));
+                (score, order, amplitude)
             })
             .collect();
-        let (score, order, amplitude, share) = *scores.iter().max_by(|a, b| a.0.total_cmp(&b.0))?;
+        let (score, order, amplitude) = *scores.iter().max_by(|a, b| a.0.total_cmp(&b.0))?;
         let net = score - elsewhere(scores.iter().map(|s| (s.1, s.0)), order) - CHOICE;
         // An amplitude at the end of those tried is none but a fit that found no other way.
         if net <= 0.0 || amplitudes().all(|a| a <= amplitude) {
             return None;
         }
-        let told = match simulated(scene, order, amplitude) {
-            Some(waves) => Told { gain: waves.gain - (score - net), ..waves },
-            None => {
-                let waves = waves(scene, order);
-                let of = |(i, views)| windows(scene, i, &shown(views, &waves), &waves, (amplitude, share));
-                Told {
-                    gain: net,
-                    amplitude_m: amplitude,
-                    interval_m: interval(&of_train(order), share, amplitude, score),
-                    share,
-                    windows: views.iter().enumerate().map(of).collect(),
-                }
-            }
-        };
+        let waves = simulated(scene, order, amplitude)?;
+        let told = Told { gain: waves.gain - (score - net), ..waves };
         (told.gain > 0.0).then(|| told.found(scene, order))
     }
 }
@@ -259,52 +233,6 @@ fn shown(views: &[View; 2], waves: &[Vec<f64>; 2]) -> Vec<Shown> {
                 .collect::<Vec<_>>()
         })
         .collect()
-}
-
-/// Posterior mean of what the wave adds to the windows of a passage, of which is `shown`.
-fn windows(
-    scene: &Scene,
-    passage: usize,
-    shown: &[Shown],
-    waves: &[Vec<f64>; 2],
-    (amplitude, share): (f64, f64),
-) -> Vec<Vec<f64>> {
-    let bogies = scene.residuals[passage].len();
-    let plain =
-        [0, 1].map(|axle| waves.each_ref().map(|w| times(&scene.responses[passage].profile[axle], w)));
-    (0..bogies)
-        .map(|bogie| {
-            let mut out = vec![0.0; plain[0][0].len()];
-            for (axle, columns) in plain.iter().enumerate() {
-                let s = &shown[axle * bogies + bogie];
-                let p = responsibility(share, s.gain(amplitude));
-                let mean = s.mean(amplitude);
-                for (k, value) in out.iter_mut().enumerate() {
-                    *value += p * (mean[0] * columns[0][k] + mean[1] * columns[1][k]);
-                }
-            }
-            out
-        })
-        .collect()
-}
-
-/// Amplitudes whose log likelihood is within 1.35 (90 %) of the best, by parabola through the neighbours, and not narrower
-/// than the 8 % by which the linear response may be off.
-fn interval(shown: &[Shown], share: f64, amplitude: f64, score: f64) -> (f64, f64) {
-    let at = |a: f64| -> f64 {
-        shown.iter().map(|s| crate::gap::latent::mixed(share, s.gain(a))).sum::<f64>() - score
-    };
-    let edge = |factor: f64| {
-        let mut a = amplitude;
-        for _ in 0..60 {
-            a *= factor;
-            if at(a) < -1.35 {
-                break;
-            }
-        }
-        a
-    };
-    (edge(1.0 / 1.01).min(0.92 * amplitude), edge(1.01).max(1.08 * amplitude))
 }
 
 #[cfg(test)]

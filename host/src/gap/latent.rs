@@ -4,7 +4,7 @@
 use faer::{Mat, c64};
 use rayon::prelude::*;
 
-use super::data::{Observed, RATE_HZ};
+use super::data::{Observed, RATE_HZ, energies, own_energy};
 use super::effect::{ActsOn, Advice, Stage};
 use super::forward::Response;
 use super::linear::BogieResponses;
@@ -126,6 +126,12 @@ impl<'a> Scene<'a> {
             .iter()
             .map(|(side, x)| if both || *side == Side::Crossing { f(direction * x) } else { 0.0 })
             .collect()
+    }
+
+    /// Energy of what differs between the windows of the training passages, (m/s²)².
+    pub fn scatter(&self) -> f64 {
+        let of_passage = |i: &usize| own_energy(energies(&self.residuals[*i]), self.residuals[*i].len());
+        self.train.iter().map(of_passage).sum()
     }
 
     /// Passages that nothing is learned from.

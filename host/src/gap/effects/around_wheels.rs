@@ -10,10 +10,17 @@ use rayon::prelude::*;
 use self::shown::{OfBogie, Seen, Shown, seen};
 use crate::gap::latent::{SHARES, Scene};
 use crate::gap::variation::Variation;
+use crate::signal::dot;
 
 /// Parts of what wheels differ by in their own path that are left once the defects are known, tried one after the other as long as the next
 /// is more probable.
 const OWN_PARTS: [f64; 5] = [1.0, 0.5, 0.25, 0.1, 0.04];
+
+/// See [`sizeable`].
+const LEAST_SHARE: f64 = 0.03;
+
+/// Factors are ascending by less than a sixth: of so many one is tried first.
+const COARSE: usize = 4;
 
 /// What a defect of unit size adds to the windows of a passage, m/s²: front and rear wheelset, place around it, sample.
 pub type Added = [Vec<Vec<f64>>; 2];
@@ -94,6 +101,15 @@ impl Found {
         Some(Self { around, seen, shown, score, factor, share })
     }
 
+    /// Energy that they are expected to add to the windows of the training passages, (m/s²)².
+    pub fn energy(&self, scene: &Scene) -> f64 {
+        let of_axle =
+            |places: &Vec<Vec<f64>>| places.iter().map(|w| dot(w, w)).sum::<f64>() / places.len() as f64;
+        let of_bogie = |i: &usize| self.around.windows[*i].iter().map(of_axle).sum::<f64>();
+        let all = scene.train.iter().map(|i| scene.residuals[*i].len() as f64 * of_bogie(i)).sum::<f64>();
+        self.share * self.factor * self.factor * all
+    }
+
     /// Part of the defects, as probable as they are, that are at marked places.
     pub fn part_at(&self, marked: &[bool]) -> f64 {
         let mut found = [0.0, 0.0];
@@ -157,13 +173,31 @@ impl Found {
     }
 }
 
-/// Best score with its factor and share.
+/// Whether defects that by the linear response add this energy to the windows of the training passages can be worth naming: simulated
+/// flats have up to three times the energy, waves less, and a tenth of what wheels differ by anyway is asked.
+pub fn sizeable(scene: &Scene, energy: f64) -> bool {
+    energy > LEAST_SHARE * scene.scatter()
+}
+
+/// Best score with its factor and share: of every [`COARSE`]th factor, and of those around the best one.
 fn best(shown: &[OfBogie], factors: &[f64]) -> Option<(f64, f64, f64)> {
-    let of_factor = |factor: &f64| {
+    let of_factor = |index: usize| {
+        let factor = &factors[index];
         let gains: Vec<[f64; 3]> = shown.iter().map(|s| s.gains(*factor)).collect();
         let likely = |share: f64| gains.iter().map(|g| OfBogie::posterior(*g, share).1).sum::<f64>();
         let of_share = SHARES.map(|share| (likely(share), *factor, share));
-        of_share.into_iter().max_by(|a, b| a.0.total_cmp(&b.0))
+        let top = of_share.into_iter().max_by(|a, b| a.0.total_cmp(&b.0))?;
+        Some((index, top))
     };
-    factors.par_iter().filter_map(of_factor).max_by(|a, b| a.0.total_cmp(&b.0))
+    let better = |a: &(usize, (f64, f64, f64)), b: &(usize, (f64, f64, f64))| a.1.0.total_cmp(&b.1.0);
+    let number = factors.len();
+    let coarse = (0..number.div_ceil(COARSE)).into_par_iter().map(|i| i * COARSE);
+    let (index, top) = coarse.filter_map(of_factor).max_by(better)?;
+    let around = (index.saturating_sub(COARSE - 1)..number.min(index + COARSE)).into_par_iter();
+    around
+        .filter(|i| *i != index)
+        .filter_map(of_factor)
+        .chain([(index, top)])
+        .max_by(better)
+        .map(|(_, top)| top)
 }

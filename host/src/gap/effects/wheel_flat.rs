@@ -11,7 +11,7 @@ mod bursts;
 use std::sync::Arc;
 
 use self::bursts::{Bursts, LENGTHS_M, factors_of_lengths, length_of};
-use super::around_wheels::Found;
+use super::around_wheels::{Found, sizeable};
 use crate::gap::effect::{Advice, Stage};
 use crate::gap::latent::{Latent, LatentFit, Scene};
 
@@ -49,7 +49,7 @@ impl Latent for WheelFlat {
         let found = Flats::linear(scene)?;
         let broad = Found::of(scene, Bursts::broad(scene).around);
         let besides = broad.map_or(0.0, |b| b.score.max(0.0)) + CHOICE;
-        if found.found.score <= besides {
+        if found.found.score <= besides || !sizeable(scene, found.found.energy(scene)) {
             return None;
         }
         let Flats { bursts, found } = found.simulated(scene)?;

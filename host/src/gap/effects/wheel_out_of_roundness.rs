@@ -10,7 +10,7 @@ use std::sync::{Arc, LazyLock};
 use faer::Mat;
 use rayon::prelude::*;
 
-use super::around_wheels::Found;
+use super::around_wheels::{Found, sizeable};
 use crate::gap::effect::{Advice, Stage};
 use crate::gap::fit::whitened;
 use crate::gap::latent::{Latent, LatentFit, Scene, best_share, times};
@@ -79,11 +79,13 @@ impl Latent for WheelOutOfRoundness {
             let waves = waves(scene, order);
             scene.train.iter().flat_map(|i| shown(&views[*i], &waves)).collect()
         };
+        let gains =
+            |shown: &[Shown], amplitude: f64| shown.iter().map(|s| s.gain(amplitude)).collect::<Vec<_>>();
         let scores: Vec<(f64, u32, f64)> = ORDERS
             .into_par_iter()
             .map(|order| {
                 let shown = of_train(order);
-                let score = |a: f64| best_share(&shown.iter().map(|s| s.gain(a)).collect::<Vec<_>>()).0;
+                let score = |a: f64| best_share(&gains(&shown, a)).0;
                 let (score, amplitude) = amplitudes()
                     .map(|a| (score(a), a))
                     .max_by(|a, b| a.0.total_cmp(&b.0))
@@ -95,6 +97,10 @@ impl Latent for WheelOutOfRoundness {
         let net = score - elsewhere(scores.iter().map(|s| (s.1, s.0)), order) - CHOICE;
         // An amplitude at the end of those tried is none but a fit that found no other way.
         if net <= 0.0 || amplitudes().all(|a| a <= amplitude) {
+            return None;
+        }
+        let (_, share) = best_share(&gains(&of_train(order), amplitude));
+        if !sizeable(scene, share * amplitude * amplitude * energy(scene, order)) {
             return None;
         }
         let waves = simulated(scene, order, amplitude)?;
@@ -193,6 +199,16 @@ fn waves(scene: &Scene, order: u32) -> [Vec<f64>; 2] {
     let radius = scene.world.crossing.vehicle.wheel_radius_m;
     let turn = move |s: f64| f64::from(order) * s / radius;
     [scene.at_knots(true, |s| turn(s).sin()), scene.at_knots(true, |s| turn(s).cos())]
+}
+
+/// Energy that waves of unit amplitude on every wheelset add to the windows of the training passages, 1/s⁴.
+fn energy(scene: &Scene, order: u32) -> f64 {
+    let waves = waves(scene, order);
+    let of_bogie = |i: usize| -> f64 {
+        let columns = scene.responses[i].profile.iter().flat_map(|p| waves.each_ref().map(|w| times(p, w)));
+        columns.map(|c| 0.5 * dot(&c, &c)).sum()
+    };
+    scene.train.iter().map(|i| scene.residuals[*i].len() as f64 * of_bogie(*i)).sum()
 }
 
 /// One axle of the bogies of a passage, whitened by the covariance of a bogie's window.

@@ -8,18 +8,21 @@ use rayon::prelude::*;
 
 use super::super::around_wheels::{Added, Around};
 use crate::gap::departures::Plain;
-use crate::gap::forward::Detail;
+use crate::gap::forward::{Detail, Response};
 use crate::gap::latent::{Scene, times};
 use crate::passage::WheelFlat as Flat;
 use crate::passage::surface::from_nearest;
 use crate::signal::dot;
 
-/// Places around the wheel that are tried.
+/// Places around the wheel that are tried by the linear response.
 const PLACES: usize = 48;
 /// Areas tried, m²: factors of 1.15 from 0.5 mm² on (a flat of 15 mm).
 const AREAS: (f64, f64, usize) = (0.5e-6, 1.15, 48);
-/// Places for each that is simulated, an odd number: 12 mm apart, a tenth of a wave of 300 Hz.
-const BETWEEN: usize = 5;
+/// Places that are simulated, 12 cm apart. In the middle between two, what both do, each as much earlier or later as it is beside, misses
+/// 15 % of a burst, RMS, on reference-1.
+const SIMULATED: usize = 24;
+/// Places tried for each of them: 12 mm apart, a tenth of a wave of 300 Hz.
+const BETWEEN: usize = 10;
 /// Factors tried of a simulated flat: 0.2 to 4.
 const FACTORS: (f64, f64, usize) = (0.2, 1.0647, 48);
 /// A wheel that only differs more than usual does so over lengths like this, metres.
@@ -58,14 +61,14 @@ impl Bursts {
         let of = |profile: &Mat<f64>| paths.iter().map(|p| times(profile, p)).collect();
         let windows = scene.responses.par_iter().map(|r| r.profile.each_ref().map(of)).collect();
         // What the crossing makes of single wheels passes for them.
-        let mute = inside_crossing(scene, 1);
+        let mute = inside_crossing(scene, PLACES);
         Self { around: Arc::new(Around { windows, factors: AREAS, mute }), length_m: None }
     }
 
     /// Simulated in the training passages: what a wheel does that does not follow its flat.
     pub(super) fn simulated(scene: &Scene, length_m: f64) -> Option<Self> {
         let windows = vec![[Vec::new(), Vec::new()]; scene.observed.len()];
-        let mut around = Around { windows, factors: FACTORS, mute: vec![false; PLACES * BETWEEN] };
+        let mut around = Around { windows, factors: FACTORS, mute: vec![false; SIMULATED * BETWEEN] };
         around.simulate(scene.train, |i| simulated(scene, length_m, i))?;
         Some(Self { around: Arc::new(around), length_m: Some(length_m) })
     }
@@ -79,31 +82,26 @@ impl Bursts {
         Some(around)
     }
 
-    /// Places for one that is simulated.
-    fn between(&self) -> usize {
-        if self.length_m.is_some() { BETWEEN } else { 1 }
+    /// Number of places.
+    fn places(&self) -> usize {
+        if self.length_m.is_some() { SIMULATED * BETWEEN } else { PLACES }
     }
 
     /// Places around the wheel at which a flat meets the rail inside the crossing.
     pub(super) fn inside_crossing(&self, scene: &Scene) -> Vec<bool> {
-        inside_crossing(scene, self.between())
+        inside_crossing(scene, self.places())
     }
 }
 
-/// The same for some places for one that is simulated.
-fn inside_crossing(scene: &Scene, between: usize) -> Vec<bool> {
+/// The same for a number of places.
+fn inside_crossing(scene: &Scene, places: usize) -> Vec<bool> {
     let turn_m = turn_m(scene);
     let middle = scene.world.crossing.traffic_direction.sign() * CROSSING_M.0;
     let inside = |p: usize| {
-        let at_m = at(p, between) / PLACES as f64 * turn_m;
+        let at_m = p as f64 / places as f64 * turn_m;
         from_nearest(at_m - middle, turn_m).abs() < CROSSING_M.1
     };
-    (0..PLACES * between).map(inside).collect()
-}
-
-/// Where the place of an index is, in steps from the first of those that are simulated, where there are some `between` two of them.
-fn at(index: usize, between: usize) -> f64 {
-    (index as f64 + 0.5) / between as f64 - 0.5
+    (0..places).map(inside).collect()
 }
 
 /// Circumference of a wheel, metres.
@@ -111,34 +109,43 @@ fn turn_m(scene: &Scene) -> f64 {
     std::f64::consts::TAU * scene.world.crossing.vehicle.wheel_radius_m
 }
 
-/// A flat at one of the places that are simulated.
-fn flat(scene: &Scene, length_m: f64, place: usize) -> Flat {
-    let at_m = place as f64 / PLACES as f64 * turn_m(scene);
-    Flat::fresh(length_m, at_m, scene.world.crossing.vehicle.wheel_radius_m)
+/// A flat at a place around the wheel, part of a turn.
+fn flat(scene: &Scene, length_m: f64, turn: f64) -> Flat {
+    Flat::fresh(length_m, turn * turn_m(scene), scene.world.crossing.vehicle.wheel_radius_m)
 }
 
 /// Windows of a passage with a flat at every place of the front wheelset, and of the rear one.
 fn simulated(scene: &Scene, length_m: f64, passage: usize) -> Option<Added> {
-    let (o, turn_m) = (&scene.observed[passage], turn_m(scene));
+    let o = &scene.observed[passage];
     let of_place = |place: usize| {
-        let flat = flat(scene, length_m, place);
+        let flat = flat(scene, length_m, place as f64 / SIMULATED as f64);
         [0, 1].map(|axle| (axle, flat, meets_m(scene, flat, axle)))
     };
-    let flats: Vec<(usize, Flat, f64)> = (0..PLACES).flat_map(of_place).collect();
+    let flats: Vec<(usize, Flat, f64)> = (0..SIMULATED).flat_map(of_place).collect();
     let halts_m = flats.iter().map(|(.., meets_m)| *meets_m).collect();
     let plain = Plain::of(o, scene.world, Detail::Scouting, halts_m).ok()?;
-    let one = |(axle, flat, meets_m): &(usize, Flat, f64)| -> Option<Vec<Vec<f64>>> {
-        let departure = plain.departure(&plain.simulator().with_flat(*axle, *flat), *meets_m).ok()?;
-        // Over some centimetres a flat does the same, later.
-        let late_s = |j: usize| at(j, BETWEEN) / PLACES as f64 * turn_m / o.speed_m_s;
-        Some((0..BETWEEN).map(|j| plain.in_window(&departure, late_s(j))).collect())
+    let one = |(axle, flat, meets_m): &(usize, Flat, f64)| {
+        plain.departure(&plain.simulator().with_flat(*axle, *flat), *meets_m).ok()
     };
-    let all: Vec<Vec<Vec<f64>>> = flats.par_iter().map(one).collect::<Option<_>>()?;
-    let mut windows = [Vec::new(), Vec::new()];
-    for ((axle, ..), of_place) in flats.iter().zip(all) {
-        windows[*axle].extend(of_place);
+    let all: Vec<Response> = flats.par_iter().map(one).collect::<Option<_>>()?;
+    let apart_s = turn_m(scene) / SIMULATED as f64 / o.speed_m_s;
+    let windows = |axle: usize| {
+        let departures: Vec<&Response> = all.iter().skip(axle).step_by(2).collect();
+        (0..SIMULATED * BETWEEN).map(|place| between(&plain, &departures, apart_s, place)).collect()
+    };
+    Some([windows(0), windows(1)])
+}
+
+/// Window with a flat at the place of an index, from those that were simulated on either side, the meeting of each with the rail moved to
+/// where this one's is.
+fn between(plain: &Plain, departures: &[&Response], apart_s: f64, index: usize) -> Vec<f64> {
+    let (before, t) = (index / BETWEEN, (index % BETWEEN) as f64 / BETWEEN as f64);
+    let mut out = plain.in_window(departures[before], t * apart_s);
+    if t > 0.0 {
+        let next = plain.in_window(departures[(before + 1) % SIMULATED], (t - 1.0) * apart_s);
+        out.iter_mut().zip(next).for_each(|(a, b)| *a += t * (b - *a));
     }
-    Some(windows)
+    out
 }
 
 /// Travel of the front axle at which a flat of a wheelset first meets the rail where it shows in the window, metres.
@@ -175,20 +182,19 @@ fn paths(scene: &Scene, broad_m: f64) -> Vec<Vec<f64>> {
 pub(super) fn factors_of_lengths(scene: &Scene, bursts: &Bursts) -> Option<Vec<(f64, f64)>> {
     let middle = scene.of_middle_speed(scene.train.to_vec());
     // Where the flat meets the rail beside the sensor and away from the crossing's own impact.
-    let (places, between) = ([PLACES / 6, 3 * PLACES / 4], bursts.between());
+    let (turns, places) = ([1.0 / 6.0, 0.75], bursts.places() as f64);
     let meets_m = |flat: Flat| meets_m(scene, flat, 0);
-    let halts_m =
-        LENGTHS_M.iter().flat_map(|l| places.map(|place| meets_m(flat(scene, *l, place)))).collect();
+    let halts_m = LENGTHS_M.iter().flat_map(|l| turns.map(|turn| meets_m(flat(scene, *l, turn)))).collect();
     let plain = Plain::of(&scene.observed[middle], scene.world, Detail::Full, halts_m).ok()?;
     let curve = LENGTHS_M
         .into_par_iter()
         .map(|length_m| {
             let (mut product, mut power) = (0.0, 0.0);
-            for place in places {
-                let flat = flat(scene, length_m, place);
+            for turn in turns {
+                let flat = flat(scene, length_m, turn);
                 let departure = plain.departure(&plain.simulator().with_flat(0, flat), meets_m(flat)).ok()?;
                 let changed = plain.in_window(&departure, 0.0);
-                let burst = &bursts.around.windows[middle][0][place * between + between / 2];
+                let burst = &bursts.around.windows[middle][0][(turn * places).round() as usize];
                 product += dot(burst, &changed);
                 power += dot(burst, burst);
             }

@@ -10,7 +10,7 @@ use super::forward::Response;
 use super::linear::BogieResponses;
 use super::variation::{Shapes, Variation};
 use super::world::World;
-use crate::signal::{dot, filtered, taper};
+use crate::signal::{dot, filtered, quantile, taper};
 use crate::track::Side;
 
 /// What a latent effect may look at.
@@ -130,8 +130,16 @@ impl<'a> Scene<'a> {
 
     /// Energy of what differs between the windows of the training passages, (m/s²)².
     pub fn scatter(&self) -> f64 {
-        let of_passage = |i: &usize| own_energy(energies(&self.residuals[*i]), self.residuals[*i].len());
-        self.train.iter().map(of_passage).sum()
+        self.train.iter().map(|i| own_energy(energies(&self.residuals[*i]), self.residuals[*i].len())).sum()
+    }
+
+    /// How far the whole residual is above that, relative: median of the training passages.
+    pub fn excess(&self) -> f64 {
+        let of_passage = |i: &usize| {
+            let inside = energies(&self.residuals[*i]);
+            inside.0 / own_energy(inside, self.residuals[*i].len()).max(f64::MIN_POSITIVE) - 1.0
+        };
+        quantile(&self.train.iter().map(of_passage).collect::<Vec<_>>(), 0.5)
     }
 
     /// Passages that nothing is learned from.

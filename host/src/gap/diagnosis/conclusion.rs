@@ -51,7 +51,7 @@ impl Session<'_> {
             let named = self.named.iter().any(|n| n.name == r.name);
             r.gap_after = if named { gap.after } else { gap.before };
         }
-        let denials = self.denials(&after_state)?;
+        let denials = self.denials()?;
         if !self.misdescribed {
             self.remarks.extend(denials.iter().map(|d| d.remark.clone()));
         }
@@ -111,7 +111,7 @@ impl Session<'_> {
         if !self.searched || self.withdrawn.is_empty() {
             return Ok(false);
         }
-        let denied = !self.denials(&self.state())?.is_empty();
+        let denied = !self.denials()?.is_empty();
         if matches!(verdict(gap, &self.named, denied), Verdict::NoGap | Verdict::Explained) {
             return Ok(false);
         }

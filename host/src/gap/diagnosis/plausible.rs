@@ -9,7 +9,7 @@ use super::recorder::{SATURATION, clock_by_operator, shows};
 use crate::gap::GapError;
 use crate::gap::data::{Observed, stated_noise_m_s2};
 use crate::gap::effect::{Effect, Hints, Stage, Witness};
-use crate::gap::fit::{Fit, State, simulate, values, whitened};
+use crate::gap::fit::{Fit, simulate, values, whitened};
 use crate::gap::forward::{BAND_HZ, Response};
 use crate::signal::{centre, dot, freed, quantile, rms};
 use crate::track::Side;
@@ -52,9 +52,10 @@ impl Session<'_> {
         chance(&scales, &temperatures, &speeds) < MOST_CHANCE
     }
 
-    /// What denies the model in a state, however small the gap.
-    pub(super) fn denials(&self, state: &State) -> Result<Vec<Denial>, GapError> {
-        let path = state.untenable(&self.base.frame).map(|side| Denial {
+    /// What denies the model, however small the gap.
+    pub(super) fn denials(&self) -> Result<Vec<Denial>, GapError> {
+        let fit = self.current();
+        let path = fit.state.untenable(&self.base.frame).map(|side| Denial {
             of_path: true,
             stage: None,
             remark: match side {
@@ -69,14 +70,14 @@ impl Session<'_> {
             }
             .into(),
         });
-        let bed = state.odd_bed().then(|| Denial {
+        let bed = fit.denies_bed().then(|| Denial {
             of_path: true,
             stage: None,
             remark: format!(
                 "model and recordings agree only over ballast that changes from sleeper to sleeper around the crossing as hardly a bed \
                  does (shape p3 {:.2}, 0.2 … 0.6 expected): voids, pads or rail differ from what is known, or something acts that is not \
                  in the catalogue",
-                state.ballast[2]
+                fit.state.ballast[2]
             ),
         });
         let recorder = [self.clipping_denial(), self.clock_denial(), self.unrest_denial()];

@@ -4,7 +4,6 @@ use super::candidates::{Candidate, Explored, asked, put_apart_first, put_wheels_
 use super::{LEAST_GAIN, MOST_SURE, Named, Ranked, Session};
 use crate::gap::GapError;
 use crate::gap::base::fit_variation;
-use crate::gap::data::{energies, own_energy};
 use crate::gap::effect::{ActsOn, Effect, Stage};
 use crate::gap::fit::{Fit, FitOptions, State, Whitened, fit, settled, simulate};
 use crate::gap::forward::Response;
@@ -264,7 +263,7 @@ impl Session<'_> {
                 (e, f, moved)
             })
             .collect();
-        self.scatter = self.squares_of(&scene.residuals);
+        self.scatter = (scene.excess(), scene.scatter());
         Ok(found)
     }
 
@@ -417,21 +416,6 @@ impl Session<'_> {
                 None => self.ranking.push(entry),
             }
         }
-    }
-
-    /// Squares of what differs between the bogies of the training passages, and the median over passages of how far the
-    /// whole residual is above that, relative, in squares.
-    fn squares_of(&self, residuals: &[Vec<Vec<f64>>]) -> (f64, f64) {
-        let mut own_sum = 0.0;
-        let mut above = Vec::new();
-        for i in &self.split.train {
-            let windows = &residuals[*i];
-            let inside = energies(windows);
-            let own = own_energy(inside, windows.len());
-            own_sum += own;
-            above.push(inside.0 / own.max(f64::MIN_POSITIVE) - 1.0);
-        }
-        (crate::signal::quantile(&above, 0.5), own_sum)
     }
 }
 

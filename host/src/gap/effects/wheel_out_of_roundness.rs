@@ -75,37 +75,54 @@ impl Latent for WheelOutOfRoundness {
     fn explore(&self, scene: &Scene) -> Option<LatentFit> {
         let views: Vec<[View; 2]> =
             (0..scene.observed.len()).into_par_iter().map(|i| View::both(scene, i)).collect();
-        let of_train = |order: u32| -> Vec<Shown> {
-            let waves = waves(scene, order);
-            scene.train.iter().flat_map(|i| shown(&views[*i], &waves)).collect()
-        };
-        let gains =
-            |shown: &[Shown], amplitude: f64| shown.iter().map(|s| s.gain(amplitude)).collect::<Vec<_>>();
-        let scores: Vec<(f64, u32, f64)> = ORDERS
-            .into_par_iter()
-            .map(|order| {
-                let shown = of_train(order);
-                let score = |a: f64| best_share(&gains(&shown, a)).0;
-                let (score, amplitude) = amplitudes()
-                    .map(|a| (score(a), a))
-                    .max_by(|a, b| a.0.total_cmp(&b.0))
-                    .unwrap_or((0.0, 0.0));
-                (score, order, amplitude)
-            })
-            .collect();
-        let (score, order, amplitude) = *scores.iter().max_by(|a, b| a.0.total_cmp(&b.0))?;
-        let net = score - elsewhere(scores.iter().map(|s| (s.1, s.0)), order) - CHOICE;
+        let all: Vec<Linear> = ORDERS.into_par_iter().map(|order| Linear::of(scene, &views, order)).collect();
+        let best = all.iter().max_by(|a, b| a.score.total_cmp(&b.score))?;
+        let besides = elsewhere(all.iter().map(|w| (w.order, w.score)), best.order) + CHOICE;
         // An amplitude at the end of those tried is none but a fit that found no other way.
-        if net <= 0.0 || amplitudes().all(|a| a <= amplitude) {
+        let at_the_end = amplitudes().all(|a| a <= best.amplitude_m);
+        if best.score <= besides || at_the_end || !sizeable(scene, best.energy(scene)) {
             return None;
         }
-        let (_, share) = best_share(&gains(&of_train(order), amplitude));
-        if !sizeable(scene, share * amplitude * amplitude * energy(scene, order)) {
-            return None;
-        }
-        let waves = simulated(scene, order, amplitude)?;
-        let told = Told { gain: waves.gain - (score - net), ..waves };
-        (told.gain > 0.0).then(|| told.found(scene, order))
+        let waves = simulated(scene, best.order, best.amplitude_m)?;
+        let told = Told { gain: waves.gain - besides, ..waves };
+        (told.gain > 0.0).then(|| told.found(scene, best.order))
+    }
+}
+
+/// Waves of an order by the linear response.
+struct Linear {
+    order: u32,
+    /// Log likelihood ratio to none.
+    score: f64,
+    amplitude_m: f64,
+    /// Of the wheelsets that have them.
+    share: f64,
+}
+
+impl Linear {
+    /// Those that explain the training passages best.
+    fn of(scene: &Scene, views: &[[View; 2]], order: u32) -> Self {
+        let waves = waves(scene, order);
+        let shown: Vec<Shown> = scene.train.iter().flat_map(|i| shown(&views[*i], &waves)).collect();
+        let best = |amplitude_m: f64| {
+            let gains: Vec<f64> = shown.iter().map(|s| s.gain(amplitude_m)).collect();
+            let (score, share) = best_share(&gains);
+            Self { order, score, amplitude_m, share }
+        };
+        let none = Self { order, score: 0.0, amplitude_m: 0.0, share: 0.0 };
+        amplitudes().map(best).max_by(|a, b| a.score.total_cmp(&b.score)).unwrap_or(none)
+    }
+
+    /// Energy that they are expected to add to the windows of the training passages, (m/s²)².
+    fn energy(&self, scene: &Scene) -> f64 {
+        let waves = waves(scene, self.order);
+        let of_bogie = |i: usize| -> f64 {
+            let profiles = scene.responses[i].profile.iter();
+            let columns = profiles.flat_map(|profile| waves.each_ref().map(|w| times(profile, w)));
+            columns.map(|c| 0.5 * dot(&c, &c)).sum()
+        };
+        let all: f64 = scene.train.iter().map(|i| scene.residuals[*i].len() as f64 * of_bogie(*i)).sum();
+        self.share * self.amplitude_m * self.amplitude_m * all
     }
 }
 
@@ -199,16 +216,6 @@ fn waves(scene: &Scene, order: u32) -> [Vec<f64>; 2] {
     let radius = scene.world.crossing.vehicle.wheel_radius_m;
     let turn = move |s: f64| f64::from(order) * s / radius;
     [scene.at_knots(true, |s| turn(s).sin()), scene.at_knots(true, |s| turn(s).cos())]
-}
-
-/// Energy that waves of unit amplitude on every wheelset add to the windows of the training passages, 1/s⁴.
-fn energy(scene: &Scene, order: u32) -> f64 {
-    let waves = waves(scene, order);
-    let of_bogie = |i: usize| -> f64 {
-        let columns = scene.responses[i].profile.iter().flat_map(|p| waves.each_ref().map(|w| times(p, w)));
-        columns.map(|c| 0.5 * dot(&c, &c)).sum()
-    };
-    scene.train.iter().map(|i| scene.residuals[*i].len() as f64 * of_bogie(*i)).sum()
 }
 
 /// One axle of the bogies of a passage, whitened by the covariance of a bogie's window.

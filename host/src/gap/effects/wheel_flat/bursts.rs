@@ -224,7 +224,46 @@ pub(super) fn length_of(curve: &[(f64, f64)], area: f64) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use std::path::Path;
+
     use super::*;
+    use crate::gap::base::{Given, base};
+    use crate::gap::diagnosis::PATH_PRIOR;
+    use crate::recording::read_site;
+
+    /// Part of a burst that may be missed in the middle between two places, RMS over the window: 15 % are.
+    const MISSED: f64 = 0.2;
+
+    #[test]
+    fn property_flats_between_two_places_are_those_simulated_there() {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/data/field/reference-1");
+        let mut site = read_site(&root).unwrap();
+        site.passages.truncate(1);
+        let base = base(&site, &[0], &[0], &PATH_PRIOR, &Given::default()).unwrap();
+        let (world, o) = (&base.frame.base, &base.frame.observed[0]);
+        let radius_m = world.crossing.vehicle.wheel_radius_m;
+        let apart_m = std::f64::consts::TAU * radius_m / SIMULATED as f64;
+        let plain = Plain::of(o, world, Detail::Scouting, Vec::new()).unwrap();
+        for length_m in [0.03, 0.06] {
+            let (mut missed, mut all) = (0.0, 0.0);
+            for place in (0..SIMULATED).step_by(3) {
+                let of = |place: f64| {
+                    let flat = Flat::fresh(length_m, place * apart_m, radius_m);
+                    plain.departure(&plain.simulator().with_flat(0, flat), f64::NEG_INFINITY).unwrap()
+                };
+                let (before, here, behind) =
+                    (of(place as f64), of(place as f64 + 0.5), of(place as f64 + 1.0));
+                let found = between(&plain, &[&before, &behind], apart_m / o.speed_m_s, BETWEEN / 2);
+                for (f, h) in found.iter().zip(plain.in_window(&here, 0.0)) {
+                    missed += (f - h).powi(2);
+                    all += h * h;
+                }
+            }
+            let part = f64::sqrt(missed / all);
+            println!("flats of {:.0} mm: {:.0} % is missed", 1e3 * length_m, 100.0 * part);
+            assert!(part < MISSED, "{length_m} m: {part}");
+        }
+    }
 
     #[test]
     fn analytic_length_between_points_of_a_cubic_curve() {

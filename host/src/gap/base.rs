@@ -508,3 +508,20 @@ fn variation_of(
         .collect();
     Ok(estimate(&scatters, &frame.base.crossing.sensor))
 }
+
+#[cfg(test)]
+pub(super) mod tests {
+    use std::path::Path;
+
+    use super::*;
+    use crate::gap::diagnosis::PATH_PRIOR;
+    use crate::recording::read_site;
+
+    /// Of reference-1 with its first passages, at most, fitted to the first one: for tests of what works on one.
+    pub(in crate::gap) fn of_reference(passages: usize) -> Base {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/data/field/reference-1");
+        let mut site = read_site(&root).unwrap();
+        site.passages.truncate(passages);
+        base(&site, &[0], &[0], &PATH_PRIOR, &Given::default()).unwrap()
+    }
+}

@@ -66,13 +66,9 @@ impl<'a> Plain<'a> {
 
 #[cfg(test)]
 mod tests {
-    use std::path::Path;
-
-    use super::super::base::{Given, base};
-    use super::super::diagnosis::PATH_PRIOR;
+    use super::super::base::tests::of_reference;
     use super::*;
     use crate::passage::WheelFlat;
-    use crate::recording::read_site;
     use crate::signal::dot;
 
     /// What a departure may lose, part of it, RMS in the window: ending early loses 4e-9 of hollow wheels, the contact that is left out 1.3e-3
@@ -83,10 +79,7 @@ mod tests {
     /// which is left out.
     #[test]
     fn property_departures_are_those_of_whole_passages() {
-        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/data/field/reference-1");
-        let mut site = read_site(&root).unwrap();
-        site.passages.truncate(1);
-        let base = base(&site, &[0], &[0], &PATH_PRIOR, &Given::default()).unwrap();
+        let base = of_reference(1);
         let (world, o) = (&base.frame.base, &base.frame.observed[0]);
         let half_m = world.path.half_m;
         for axle in [0, 1] {

@@ -130,16 +130,21 @@ impl<'a> Scene<'a> {
 
     /// Energy of what differs between the windows of the training passages, (m/s²)².
     pub fn scatter(&self) -> f64 {
-        self.train.iter().map(|i| own_energy(energies(&self.residuals[*i]), self.residuals[*i].len())).sum()
+        self.of_training().map(|(_, own)| own).sum()
     }
 
     /// How far the whole residual is above that, relative: median of the training passages.
     pub fn excess(&self) -> f64 {
-        let of_passage = |i: &usize| {
+        let above = self.of_training().map(|(all, own)| all / own.max(f64::MIN_POSITIVE) - 1.0);
+        quantile(&above.collect::<Vec<_>>(), 0.5)
+    }
+
+    /// Energy of the windows of every training passage, and of what differs between them.
+    fn of_training(&self) -> impl Iterator<Item = (f64, f64)> {
+        self.train.iter().map(|i| {
             let inside = energies(&self.residuals[*i]);
-            inside.0 / own_energy(inside, self.residuals[*i].len()).max(f64::MIN_POSITIVE) - 1.0
-        };
-        quantile(&self.train.iter().map(of_passage).collect::<Vec<_>>(), 0.5)
+            (inside.0, own_energy(inside, self.residuals[*i].len()))
+        })
     }
 
     /// Passages that nothing is learned from.

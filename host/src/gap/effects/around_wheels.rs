@@ -101,13 +101,12 @@ impl Found {
         Some(Self { around, seen, shown, score, factor, share })
     }
 
-    /// Energy that they are expected to add to the windows of the training passages, (m/s²)².
-    pub fn energy(&self, scene: &Scene) -> f64 {
+    /// Energy that they are expected to add to the window of a bogie of a passage, (m/s²)².
+    pub fn energy(&self, passage: usize) -> f64 {
         let of_axle =
             |places: &Vec<Vec<f64>>| places.iter().map(|w| dot(w, w)).sum::<f64>() / places.len() as f64;
-        let of_bogie = |i: &usize| self.around.windows[*i].iter().map(of_axle).sum::<f64>();
-        let all = scene.train.iter().map(|i| scene.residuals[*i].len() as f64 * of_bogie(i)).sum::<f64>();
-        self.share * self.factor * self.factor * all
+        let of_bogie: f64 = self.around.windows[passage].iter().map(of_axle).sum();
+        self.share * self.factor * self.factor * of_bogie
     }
 
     /// Part of the defects, as probable as they are, that are at marked places.
@@ -173,31 +172,26 @@ impl Found {
     }
 }
 
-/// Whether defects that by the linear response add this energy to the windows of the training passages can be worth naming: simulated
-/// flats have up to three times the energy, waves less, and a tenth of what wheels differ by anyway is asked.
-pub fn sizeable(scene: &Scene, energy: f64) -> bool {
-    energy > LEAST_SHARE * scene.scatter()
+/// Whether defects that by the linear response add this energy to the window of a bogie of a passage, (m/s²)², can be worth naming:
+/// simulated flats have up to three times the energy, waves less, and a tenth of what wheels differ by anyway is asked.
+pub fn sizeable(scene: &Scene, energy: impl Fn(usize) -> f64) -> bool {
+    let of_passage = |i: &usize| scene.residuals[*i].len() as f64 * energy(*i);
+    scene.train.iter().map(of_passage).sum::<f64>() > LEAST_SHARE * scene.scatter()
 }
 
 /// Best score with its factor and share: of every [`COARSE`]th factor, and of those around the best one.
 fn best(shown: &[OfBogie], factors: &[f64]) -> Option<(f64, f64, f64)> {
-    let of_factor = |index: usize| {
-        let factor = &factors[index];
-        let gains: Vec<[f64; 3]> = shown.iter().map(|s| s.gains(*factor)).collect();
+    let of_factor = |factor: f64| {
+        let gains: Vec<[f64; 3]> = shown.iter().map(|s| s.gains(factor)).collect();
         let likely = |share: f64| gains.iter().map(|g| OfBogie::posterior(*g, share).1).sum::<f64>();
-        let of_share = SHARES.map(|share| (likely(share), *factor, share));
-        let top = of_share.into_iter().max_by(|a, b| a.0.total_cmp(&b.0))?;
-        Some((index, top))
+        let of_share = SHARES.map(|share| (likely(share), factor, share));
+        of_share.into_iter().max_by(|a, b| a.0.total_cmp(&b.0))
     };
-    let better = |a: &(usize, (f64, f64, f64)), b: &(usize, (f64, f64, f64))| a.1.0.total_cmp(&b.1.0);
-    let number = factors.len();
-    let coarse = (0..number.div_ceil(COARSE)).into_par_iter().map(|i| i * COARSE);
-    let (index, top) = coarse.filter_map(of_factor).max_by(better)?;
-    let around = (index.saturating_sub(COARSE - 1)..number.min(index + COARSE)).into_par_iter();
-    around
-        .filter(|i| *i != index)
-        .filter_map(of_factor)
-        .chain([(index, top)])
-        .max_by(better)
-        .map(|(_, top)| top)
+    let best_of = |indices: Vec<usize>| {
+        let all = indices.into_par_iter().filter_map(|i| Some((i, of_factor(factors[i])?)));
+        all.max_by(|a, b| a.1.0.total_cmp(&b.1.0))
+    };
+    let (index, _) = best_of((0..factors.len()).step_by(COARSE).collect())?;
+    let around = index.saturating_sub(COARSE - 1)..factors.len().min(index + COARSE);
+    best_of(around.collect()).map(|(_, top)| top)
 }

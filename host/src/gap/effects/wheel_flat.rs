@@ -49,7 +49,7 @@ impl Latent for WheelFlat {
         let found = Flats::linear(scene)?;
         let broad = Found::of(scene, Bursts::broad(scene).around);
         let besides = broad.map_or(0.0, |b| b.score.max(0.0)) + CHOICE;
-        if found.found.score <= besides || !sizeable(scene, found.found.energy(scene)) {
+        if found.found.score <= besides || !sizeable(scene, |passage| found.found.energy(passage)) {
             return None;
         }
         let Flats { bursts, found } = found.simulated(scene)?;

@@ -113,16 +113,15 @@ impl Linear {
         amplitudes().map(best).max_by(|a, b| a.score.total_cmp(&b.score)).unwrap_or(none)
     }
 
-    /// Energy that they are expected to add to the windows of the training passages, (m/s²)².
-    fn energy(&self, scene: &Scene) -> f64 {
+    /// Energy that they are expected to add to the window of a bogie of a passage, (m/s²)².
+    fn energy(&self, scene: &Scene) -> impl Fn(usize) -> f64 {
         let waves = waves(scene, self.order);
-        let of_bogie = |i: usize| -> f64 {
-            let profiles = scene.responses[i].profile.iter();
+        let per_square = 0.5 * self.share * self.amplitude_m * self.amplitude_m;
+        move |passage| {
+            let profiles = scene.responses[passage].profile.iter();
             let columns = profiles.flat_map(|profile| waves.each_ref().map(|w| times(profile, w)));
-            columns.map(|c| 0.5 * dot(&c, &c)).sum()
-        };
-        let all: f64 = scene.train.iter().map(|i| scene.residuals[*i].len() as f64 * of_bogie(*i)).sum();
-        self.share * self.amplitude_m * self.amplitude_m * all
+            per_square * columns.map(|c| dot(&c, &c)).sum::<f64>()
+        }
     }
 }
 

@@ -111,13 +111,9 @@ fn weights(nodes: &[usize], passage: usize, place: &dyn Fn(usize) -> f64) -> Vec
 
 #[cfg(test)]
 mod tests {
-    use std::path::Path;
-
     use super::super::simulate;
     use super::*;
-    use crate::gap::base::{Given, base};
-    use crate::gap::diagnosis::PATH_PRIOR;
-    use crate::recording::read_site;
+    use crate::gap::base::tests::of_reference;
 
     /// Part of a difference that interpolation over the speeds of a site may lose, RMS in the band: Gauss-Newton steps then miss their
     /// aim by as much, and the next one makes up for it.
@@ -125,9 +121,7 @@ mod tests {
 
     #[test]
     fn property_differences_are_those_simulated_at_every_speed() {
-        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/data/field/reference-1");
-        let site = read_site(&root).unwrap();
-        let base = base(&site, &[0], &[0], &PATH_PRIOR, &Given::default()).unwrap();
+        let base = of_reference(usize::MAX);
         let (frame, world) = (&base.frame, &base.frame.base);
         let all: Vec<usize> = (0..frame.observed.len()).collect();
         let nearby = Nearby::of(frame, &all, Detail::Full);

@@ -118,21 +118,11 @@ impl Recall {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::gap::base::{Given, base};
-    use crate::gap::diagnosis::PATH_PRIOR;
-    use crate::recording::read_site;
-
-    /// Three passages.
-    fn frame() -> Frame {
-        let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/data/field/reference-1");
-        let mut site = read_site(&root).unwrap();
-        site.passages.truncate(3);
-        base(&site, &[0], &[0], &PATH_PRIOR, &Given::default()).unwrap().frame
-    }
+    use crate::gap::base::tests::of_reference;
 
     #[test]
     fn property_what_is_recalled_is_what_is_simulated() {
-        let (frame, all) = (frame(), [0, 1, 2]);
+        let (frame, all) = (of_reference(3).frame, [0, 1, 2]);
         let kept = || frame.recall.0.lock().unwrap().worlds.len();
         let mut world = frame.base.clone();
         world.ballast.p2_n_m2 *= 1.01;
@@ -150,7 +140,7 @@ mod tests {
 
     #[test]
     fn property_the_oldest_are_forgotten() {
-        let (frame, recall) = (frame(), Recall::default());
+        let (frame, recall) = (of_reference(3).frame, Recall::default());
         let passage = &frame.observed[0];
         let worlds: Vec<World> = (0..5)
             .map(|k| {

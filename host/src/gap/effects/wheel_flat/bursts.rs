@@ -224,22 +224,15 @@ pub(super) fn length_of(curve: &[(f64, f64)], area: f64) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use std::path::Path;
-
     use super::*;
-    use crate::gap::base::{Given, base};
-    use crate::gap::diagnosis::PATH_PRIOR;
-    use crate::recording::read_site;
+    use crate::gap::base::tests::of_reference;
 
     /// Part of a burst that may be missed in the middle between two places, RMS over the window: 13 and 18 % are.
     const MISSED: f64 = 0.2;
 
     #[test]
     fn property_flats_between_two_places_are_those_simulated_there() {
-        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/data/field/reference-1");
-        let mut site = read_site(&root).unwrap();
-        site.passages.truncate(1);
-        let base = base(&site, &[0], &[0], &PATH_PRIOR, &Given::default()).unwrap();
+        let base = of_reference(1);
         let (world, o) = (&base.frame.base, &base.frame.observed[0]);
         let radius_m = world.crossing.vehicle.wheel_radius_m;
         let apart_m = std::f64::consts::TAU * radius_m / SIMULATED as f64;

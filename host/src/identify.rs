@@ -344,7 +344,7 @@ fn speeds(
 }
 
 /// Every n-th passage, `count` of them or a few less.
-fn spread_out<T: Copy>(passages: &[T], count: usize) -> Vec<T> {
+pub(crate) fn spread_out<T: Copy>(passages: &[T], count: usize) -> Vec<T> {
     passages.iter().step_by(passages.len().div_ceil(count).max(1)).copied().collect()
 }
 

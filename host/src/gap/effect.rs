@@ -127,8 +127,10 @@ pub trait Effect: Sync + Send {
     fn advice(&self) -> Advice;
     /// Parameters, in the order of `values`.
     fn parameters(&self) -> &'static [Parameter];
-    /// Coordinates from which the search starts.
-    fn starts(&self, hints: &Hints) -> Vec<Vec<f64>>;
+    /// Coordinates from which the search starts: nought, where there is no effect, unless the way from there leads elsewhere.
+    fn starts(&self, _hints: &Hints) -> Vec<Vec<f64>> {
+        self.nought().into_iter().collect()
+    }
     /// Coordinates from which it is looked for where the base model has gone far astray: also on both sides of nought.
     fn far_starts(&self, hints: &Hints) -> Vec<Vec<f64>> {
         let mut starts = self.starts(hints);

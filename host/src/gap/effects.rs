@@ -99,6 +99,7 @@ mod tests {
         let hints = Hints { largest_m_s2: 100.0, on_top_m_s2: 0.0 };
         for effect in COMMON {
             let far = effect.far_starts(&hints);
+            assert!(!effect.starts(&hints).is_empty(), "{}", effect.name());
             for start in effect.starts(&hints).iter().chain(&far) {
                 let inside =
                     start.iter().zip(effect.parameters()).all(|(c, p)| (p.range[0]..=p.range[1]).contains(c));

@@ -5,6 +5,7 @@ use super::effect::{Effect, Hints};
 use super::fit::{Fit, FitOptions, Frame, Screening, State, fit, replaced, screen};
 use super::forward::Detail;
 use super::prospect::promising;
+use crate::identify::spread_out;
 use faer::Mat;
 use faer::linalg::solvers::Solve as _;
 use rayon::prelude::*;
@@ -268,7 +269,7 @@ pub(super) fn most_probable(found: Vec<(Vec<f64>, Fit)>) -> Option<Fit> {
 
 /// The passages that are scouted.
 pub(super) fn few_of(subset: &[usize]) -> Vec<usize> {
-    subset.iter().copied().step_by(subset.len().div_ceil(SCOUTED).max(1)).collect()
+    spread_out(subset, SCOUTED)
 }
 
 /// Near the base model the first derivatives hold; what is accepted is fitted again.

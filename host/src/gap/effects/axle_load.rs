@@ -2,7 +2,7 @@
 //!
 //! Everything scales, the excitation by the crossing apart; passenger load changes a coach by up to a sixth.
 
-use crate::gap::effect::{Advice, Effect, Hints, MODEL_ERROR, Parameter, Scale, Stage};
+use crate::gap::effect::{Advice, Effect, MODEL_ERROR, Parameter, Scale, Stage};
 use crate::gap::world::World;
 
 /// See the module.
@@ -38,10 +38,6 @@ impl Effect for AxleLoad {
 
     fn parameters(&self) -> &'static [Parameter] {
         &PARAMETERS
-    }
-
-    fn starts(&self, _hints: &Hints) -> Vec<Vec<f64>> {
-        self.nought().into_iter().collect()
     }
 
     fn nought(&self) -> Option<Vec<f64>> {

@@ -3,7 +3,7 @@
 //! w₀ is the displacement at which the secant stiffness has doubled. Range: from a fifth of a usual deflection (0.5 mm,
 //! paper fig. 12) to where nothing is left of the effect. The search runs over 1/w₀, which is nought without the effect.
 
-use crate::gap::effect::{Advice, Effect, Hints, MODEL_ERROR, Parameter, Scale, Stage};
+use crate::gap::effect::{Advice, Effect, MODEL_ERROR, Parameter, Scale, Stage};
 use crate::gap::world::World;
 
 /// See the module.
@@ -39,10 +39,6 @@ impl Effect for BallastStiffening {
 
     fn parameters(&self) -> &'static [Parameter] {
         &PARAMETERS
-    }
-
-    fn starts(&self, _hints: &Hints) -> Vec<Vec<f64>> {
-        self.nought().into_iter().collect()
     }
 
     fn nought(&self) -> Option<Vec<f64>> {

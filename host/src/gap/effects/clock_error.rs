@@ -4,7 +4,7 @@
 //! and wheel do not. Where the operator states speeds (1 % each, unbiased), they alone tell it (`diagnosis/recorder.rs`): ballast
 //! and path take over most of what it does to the recordings. Range: a broken crystal or a wrong divider.
 
-use crate::gap::effect::{Advice, Effect, Hints, Parameter, Scale, Stage, Witness};
+use crate::gap::effect::{Advice, Effect, Parameter, Scale, Stage, Witness};
 use crate::gap::world::World;
 
 /// See the module.
@@ -40,10 +40,6 @@ impl Effect for ClockError {
 
     fn parameters(&self) -> &'static [Parameter] {
         &PARAMETERS
-    }
-
-    fn starts(&self, _hints: &Hints) -> Vec<Vec<f64>> {
-        self.nought().into_iter().collect()
     }
 
     fn nought(&self) -> Option<Vec<f64>> {

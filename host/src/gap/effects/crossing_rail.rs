@@ -1,6 +1,6 @@
 //! Bending stiffness and mass of the crossing rail: factors on the nominal three times plain rail (paper, Table 1).
 
-use crate::gap::effect::{Advice, Effect, Hints, MODEL_ERROR, Parameter, Scale, Stage};
+use crate::gap::effect::{Advice, Effect, MODEL_ERROR, Parameter, Scale, Stage};
 use crate::gap::world::World;
 
 /// See the module.
@@ -50,10 +50,6 @@ impl Effect for CrossingRail {
 
     fn parameters(&self) -> &'static [Parameter] {
         &PARAMETERS
-    }
-
-    fn starts(&self, _hints: &Hints) -> Vec<Vec<f64>> {
-        self.nought().into_iter().collect()
     }
 
     fn nought(&self) -> Option<Vec<f64>> {

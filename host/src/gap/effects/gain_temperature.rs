@@ -3,7 +3,7 @@
 //! Acts on all frequencies alike and follows the temperature from passage to passage. T₀ is unknown, so a constant gain goes
 //! with it. Data sheets give up to 0.04 %/K; a failing bridge or a loose mount reaches ten times that.
 
-use crate::gap::effect::{Advice, Effect, Hints, MODEL_ERROR, Parameter, Scale, Stage, Witness};
+use crate::gap::effect::{Advice, Effect, MODEL_ERROR, Parameter, Scale, Stage, Witness};
 use crate::gap::world::World;
 
 /// See the module.
@@ -52,10 +52,6 @@ impl Effect for GainTemperature {
 
     fn parameters(&self) -> &'static [Parameter] {
         &PARAMETERS
-    }
-
-    fn starts(&self, _hints: &Hints) -> Vec<Vec<f64>> {
-        self.nought().into_iter().collect()
     }
 
     fn nought(&self) -> Option<Vec<f64>> {

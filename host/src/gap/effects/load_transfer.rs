@@ -1,6 +1,6 @@
 //! Static load shared unequally between the two rails: cant, curve, skew load. Positive loads the crossing side.
 
-use crate::gap::effect::{Advice, Effect, Hints, MODEL_ERROR, Parameter, Scale, Stage};
+use crate::gap::effect::{Advice, Effect, MODEL_ERROR, Parameter, Scale, Stage};
 use crate::gap::world::World;
 
 /// See the module.
@@ -36,10 +36,6 @@ impl Effect for LoadTransfer {
 
     fn parameters(&self) -> &'static [Parameter] {
         &PARAMETERS
-    }
-
-    fn starts(&self, _hints: &Hints) -> Vec<Vec<f64>> {
-        self.nought().into_iter().collect()
     }
 
     fn nought(&self) -> Option<Vec<f64>> {

@@ -3,7 +3,7 @@
 //! Pads of one design spread by a factor of four between materials (EPDM 85, EVA 304 kN/mm) and lose half their stiffness
 //! when hot.
 
-use crate::gap::effect::{Advice, Effect, Hints, Parameter, Scale, Stage};
+use crate::gap::effect::{Advice, Effect, Parameter, Scale, Stage};
 use crate::gap::world::World;
 
 /// See the module.
@@ -40,10 +40,6 @@ impl Effect for PadStiffness {
 
     fn parameters(&self) -> &'static [Parameter] {
         &PARAMETERS
-    }
-
-    fn starts(&self, _hints: &Hints) -> Vec<Vec<f64>> {
-        self.nought().into_iter().collect()
     }
 
     fn nought(&self) -> Option<Vec<f64>> {

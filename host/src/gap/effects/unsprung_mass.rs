@@ -1,7 +1,7 @@
 //! Wheelsets heavier or lighter than in the description: other wheels, axle-mounted drives (a driven wheelset weighs up to
 //! twice a trailing one).
 
-use crate::gap::effect::{Advice, Effect, Hints, MODEL_ERROR, Parameter, Scale, Stage};
+use crate::gap::effect::{Advice, Effect, MODEL_ERROR, Parameter, Scale, Stage};
 use crate::gap::world::World;
 
 /// See the module.
@@ -37,10 +37,6 @@ impl Effect for UnsprungMass {
 
     fn parameters(&self) -> &'static [Parameter] {
         &PARAMETERS
-    }
-
-    fn starts(&self, _hints: &Hints) -> Vec<Vec<f64>> {
-        self.nought().into_iter().collect()
     }
 
     fn nought(&self) -> Option<Vec<f64>> {

@@ -13,6 +13,7 @@ use crate::gap::fit::whitened;
 use crate::gap::forward::{Detail, Simulator};
 use crate::gap::latent::Scene;
 use crate::gap::variation::Variation;
+use crate::identify::spread_out;
 use crate::passage::surface::GRID_M;
 
 /// What wheels differ by that are not hollow. What a model without hollow ones takes it for is inflated by them.
@@ -78,7 +79,7 @@ fn share_of(found: &[Weighed]) -> f64 {
 }
 
 fn likeliest(train: &[&View], share: f64) -> Option<Hollow> {
-    let few: Vec<&View> = train.iter().copied().step_by(train.len().div_ceil(FEW).max(1)).collect();
+    let few = spread_out(train, FEW);
     let of_depth =
         |depth_factor: f64| SHIFTS_M.map(|shift_m| Hollow { depth_factor, shift_m, share }.within());
     let starts: Vec<Hollow> = DEPTHS.into_iter().flat_map(of_depth).collect();

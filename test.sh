@@ -26,15 +26,6 @@ qemu-system-arm --version | head -n 1
 step "format"
 cargo fmt --all --check
 
-step "the program"
-# First, so that the blind trials can take what cores are left idle from here on: where one crate waits for another, where lints and
-# documentation know one thread only, where one test outlasts its file. Nothing below builds the program again.
-cargo build --release --package cpcm --bin cpcm
-mkdir -p target/blind-trial
-nice -n 10 target/release/cpcm blind-trial --seed 7 --trials 20 --check --out target/blind-trial >target/blind-trial.log 2>&1 &
-trials=$!
-trap 'kill "$trials" 2>/dev/null || true' EXIT
-
 step "lints"
 # The benches as well, which plain commands leave out. Of the release profile, so that build scripts, procedural macros and zstd are
 # compiled once for lints, documentation and tests.
@@ -52,10 +43,16 @@ step "firmware: flash and RAM of both boards"
 { cargo fw && cargo fw-qemu; } >target/firmware.log 2>&1 &
 images=$!
 cargo test --release --no-run --package cpcm --package cpcm-tests --lib --test '*'
+cargo build --release --package cpcm --bin cpcm
 wait "$images" || { cat target/firmware.log >&2; exit 1; }
 cargo test --release --package cpcm-tests --test firmware -- --nocapture
 
-step "tests"
+step "tests, and beside them the blind trials of the next step"
+# Tests end one after another and leave a core idle then; the trials take what they leave, and what they need beyond that at the end.
+nice -n 10 cargo run --release --package cpcm --bin cpcm -- \
+    blind-trial --seed 7 --trials 20 --check --out target/blind-trial >target/blind-trial.log 2>&1 &
+trials=$!
+trap 'kill "$trials" 2>/dev/null || true' EXIT
 # What runs on the node, with its arithmetic and its assertions checked; of the release profile, whose dependencies are compiled anyway.
 cargo test --release --package cpcm-shared --lib --no-fail-fast \
     --config 'profile.release.package.cpcm-shared.overflow-checks=true' \

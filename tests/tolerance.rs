@@ -48,6 +48,8 @@ pub const BALLAST_BELOW_A_VOID: f64 = 0.4;
 /// Peaks and waveform over a bed that is not linear where that is taken into account, part of their errors where it is not: three tenths
 /// was measured.
 pub const BED_PART: f64 = 0.5;
+/// Peaks where a transferred load is taken into account, a tenth too small, part of their errors where it is not: a seventh was measured.
+pub const TRANSFER_PART: f64 = 0.3;
 /// Position of the peak, median, m: a shorter distance than a grinder works on.
 pub const PEAK_POSITION_M: f64 = 0.03;
 /// Mean irregularity against the laser scan, RMS over peak to peak: what is asked of the method.

@@ -1,5 +1,5 @@
-//! `analyse --with-effects` over beds that are not linear, on sites simulated with another mesh, step and damping than the diagnosis
-//! has, and on recordings of another program.
+//! `analyse --with-effects` over beds that are not linear and under loads that the rails share unequally, on sites simulated with
+//! another mesh, step and damping than the diagnosis has, and on recordings of another program.
 //!
 //! `cargo test --release -p cpcm-tests --test with_effects -- --nocapture` prints the numbers.
 
@@ -7,12 +7,13 @@ mod tolerance;
 
 use std::path::Path;
 
+use cpcm::analysis::Interval;
 use cpcm::gap::corrected::{Included, Purpose, corrected};
 use cpcm::pipeline::{AnalyseOptions, analyse};
 use cpcm::progress::Silent;
 use cpcm::recording::truth::read_site_truth;
 use cpcm::recording::{Site, read_site};
-use cpcm::scenario::effects::{BallastStiffening, VoidedSleepers};
+use cpcm::scenario::effects::{BallastStiffening, LoadTransfer, VoidedSleepers};
 use cpcm::scenario::{Effects, SimulatedSite, read_scenario, simulate};
 use cpcm::scoring::{Score, score};
 use cpcm_tests::sample::field;
@@ -106,6 +107,41 @@ fn reference_ballast_below_a_void() {
     );
     for (found, truth) in [(p1, true_p1), (p2.value, true_p2)] {
         assert!((found / truth).ln().abs() < tolerance::BALLAST_BELOW_A_VOID, "{found} instead of {truth}");
+    }
+}
+
+/// Cant that moves an eighth of the load to the crossing rail; known a tenth too small.
+#[test]
+fn property_forces_under_a_transferred_load_are_nearer_with_it() {
+    let transfer = LoadTransfer { to_crossing_side: 0.12, ..LoadTransfer::default() };
+    let of = simulated(Effects { load_transfer: Some(transfer), ..Effects::default() });
+    let without = scored("without the transfer", &of.site, &of);
+    let with = scored("with it", &including(&of.site, "load-transfer", "fraction", 0.11), &of);
+    assert!(Score::median(&with.peak) < tolerance::TRANSFER_PART * Score::median(&without.peak));
+}
+
+/// Ballast under a transferred load in recordings of another program.
+#[test]
+fn reference_ballast_under_a_transferred_load() {
+    let name = "known-load-transfer";
+    let [true_p1, true_p2, _] = read_site_truth(&field(name)).unwrap().ballast.p1_p2_p3.unwrap();
+    let site = read_site(&field(name)).unwrap();
+    let found = |site: &Site| {
+        let ballast = analyse(site, &AnalyseOptions::default(), &Silent).unwrap().ballast;
+        [(ballast.p1_n_m2, true_p1), (ballast.p2_n_m2, true_p2)]
+    };
+    let (without, with) = (found(&site), found(&including(&site, "load-transfer", "fraction", 0.12)));
+    for ((without, truth), (with, _)) in without.into_iter().zip(with) {
+        let in_mn_m2 =
+            |i: &Interval| format!("{:.1} ({:.1} … {:.1})", 1e-6 * i.value, 1e-6 * i.lower, 1e-6 * i.upper);
+        println!(
+            "{} without, {} with it, truth {:.1} MN/m2",
+            in_mn_m2(&without),
+            in_mn_m2(&with),
+            1e-6 * truth
+        );
+        let holds = |i: &Interval| (i.lower..=i.upper).contains(&truth);
+        assert_eq!([&without, &with].map(holds), [false, true]);
     }
 }
 

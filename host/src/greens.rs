@@ -97,6 +97,8 @@ pub struct GreensFunctions {
     response: [Vec<f64>; 2],
     /// `[side][(node * 2 + dof) * lines + line]`: transform of the responses, up to the end of the band.
     spectrum: [Vec<c64>; 2],
+    /// Static force of wheels on the crossing and on the stock rail, of half an axle's.
+    pub(crate) load_factor: [f64; 2],
 }
 
 impl GreensFunctions {
@@ -146,6 +148,7 @@ impl GreensFunctions {
                 time_series(&stock, gain.len(), sampling, 0.0),
             ],
             spectrum: [crossing, stock],
+            load_factor: track.load_factor,
         }
     }
 
@@ -166,6 +169,7 @@ impl GreensFunctions {
             shear_ratio: [0, 1].map(|s| self.shear_ratio[s][first..last].to_vec()),
             response,
             spectrum,
+            load_factor: self.load_factor,
         }
     }
 

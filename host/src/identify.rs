@@ -92,7 +92,7 @@ pub struct IdentifiedSite<'s> {
     pub clips_at_m_s2: Option<f64>,
     /// Speeds and axle times.
     pub timings: Vec<Timing>,
-    /// Static wheel force per passage, newtons.
+    /// Mean static force of the wheels of an axle per passage, newtons; `track` tells how the rails share it.
     pub static_force_n: Vec<f64>,
     /// Quasi-static calibration (paper, eq. 2), the start of the calibration by evidence.
     pub quasi_static: QuasiStaticFit,
@@ -125,7 +125,7 @@ impl IdentifiedSite<'_> {
         self.explained[index]
     }
 
-    /// Static wheel force of the usual passage, newtons: a node does not know the load of the next train.
+    /// The same of the usual passage, newtons: a node does not know the load of the next train.
     pub fn usual_force_n(&self) -> f64 {
         quantile(&self.static_force_n, 0.5)
     }

@@ -29,8 +29,10 @@ use crate::track::Track;
 pub struct Interaction {
     /// `[read][loaded]`, crossing and stock rail.
     rails: [[RailGreens; 2]; 2],
-    /// Deflection under a wheel per static force on its companion's wheels, m/N, along x: `[rail][companion at larger x]`.
+    /// Deflection under a wheel per half the static load of its companion, m/N, along x: `[rail][companion at larger x]`.
     companion: [[CubicSpline; 2]; 2],
+    /// Static force of wheels on the crossing and on the stock rail, of half an axle's.
+    load_factor: [f64; 2],
     bogie: Arc<BogieResponses>,
 }
 
@@ -98,10 +100,10 @@ impl Interaction {
         half_m: f64,
     ) -> Self {
         let companion = companion_compliance(track, ballast_n_m2, half_m, bogie.axle_spacing_m);
-        Self { rails, companion, bogie: Arc::clone(bogie) }
+        Self { rails, companion, load_factor: track.load_factor, bogie: Arc::clone(bogie) }
     }
 
-    /// Wheels at `position_m`, one per time step on their own clocks, in the order of passing.
+    /// Wheels at `position_m`, one per time step on their own clocks, in the order of passing; `static_force_n`: mean of an axle's.
     pub fn moving<'a>(
         &'a self,
         position_m: &'a [f64],
@@ -111,7 +113,7 @@ impl Interaction {
     ) -> Motion<'a> {
         let n = position_m.len();
         let delay = self.bogie.axle_spacing_m / speed_m_s * self.bogie.sampling.rate_hz;
-        let contact = self.bogie.contact_compliance_m_n(static_force_n);
+        let contact = self.contact_compliance_m_n(static_force_n);
         // The trailing wheelset's clock is late: what happens to it comes to the leading one later.
         let to_leading = self.bogie.other_wheelset(delay);
         let to_trailing = self.bogie.other_wheelset(-delay);
@@ -125,12 +127,17 @@ impl Interaction {
         };
         let mut own = both_rails(&|read, loaded| self.within_wheelset(&rails, read, loaded));
         for i in 0..2 * n {
-            own[(i, i)] += contact;
+            own[(i, i)] += contact[i / n];
         }
         let across = [to_leading, to_trailing]
             .map(|of| both_rails(&|read, loaded| toeplitz(&of[usize::from(read != loaded)], n)));
         let stiffness = inverse_of_twins(&own, &across);
         Motion { interaction: self, position_m, direction, static_force_n, stiffness, rails }
+    }
+
+    /// Compliance of the contacts on the crossing and on the stock rail, each linearised at its static force.
+    fn contact_compliance_m_n(&self, static_force_n: f64) -> [f64; 2] {
+        self.load_factor.map(|factor| self.bogie.contact_compliance_m_n(factor * static_force_n))
     }
 
     /// Displacement at a contact per force on a contact of the same wheelset, its own contact's compression apart.
@@ -259,7 +266,9 @@ impl Interaction {
         let from_end = |i: usize| reach - position_m[i].abs();
         let coming =
             Mat::from_fn(n, 1, |i, _| if i < n / 2 { 1.0 - taper(from_end(i), 0.0, RAMP_M) } else { 1.0 });
-        let moving_load = [0, 1].map(|read: usize| &rails[read][0] * &coming + &rails[read][1] * &coming);
+        let coming = self.load_factor.map(|factor| &coming * faer::Scale(factor));
+        let moving_load =
+            [0, 1].map(|read: usize| &rails[read][0] * &coming[0] + &rails[read][1] * &coming[1]);
         contacts(|axle, rail| {
             // The companion of the leading wheel is behind it: at smaller x in facing direction.
             let companion_ahead_in_x = (axle == 1) == (direction > 0.0);
@@ -279,7 +288,7 @@ impl Interaction {
 const RAMP_M: f64 = 0.6;
 const END_M: f64 = 1.8;
 
-/// Deflection of each rail under a wheel of a bogie per static force on both wheels of its companion:
+/// Deflection of each rail under a wheel of a bogie per half the static load of its companion:
 /// `[rail][companion at larger x]`. The companion is far enough away for its standing load to do.
 fn companion_compliance(
     track: &Track,

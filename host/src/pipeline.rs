@@ -178,9 +178,10 @@ fn model_displacement(identified: &IdentifiedSite, index: usize, greens: &Greens
             speed_m_s: timing.speed_m_s,
             time_at_origin_s: timing.axle_s(*offset),
         };
-        for side in [Side::Crossing, Side::Stock] {
+        for (side, factor) in [Side::Crossing, Side::Stock].into_iter().zip(identified.track.load_factor) {
+            let force_n = factor * identified.static_force_n[index];
             for (s, r) in sum.iter_mut().zip(constant_force_response(greens, side, &path, samples)) {
-                *s += identified.static_force_n[index] * r;
+                *s += force_n * r;
             }
         }
     }
@@ -228,7 +229,7 @@ fn wheelset_result(
     let irregularity_m = irregularity_of_wheelset(
         force,
         identified.timings[index].speed_m_s,
-        identified.static_force_n[index],
+        identified.track.load_factor[0] * identified.static_force_n[index],
         moving,
         &identified.site.crossing.vehicle,
         grid,

@@ -91,6 +91,8 @@ pub struct Track {
     pub sensor_sleeper: usize,
     /// Factor on the ballast stiffness of single sleepers, counted from the instrumented one.
     pub support_factor: Vec<(i64, f64)>,
+    /// Static force of wheels on the crossing and on the stock rail, of half an axle's.
+    pub load_factor: [f64; 2],
     nodes_per_bay: usize,
 }
 
@@ -152,6 +154,7 @@ impl Track {
             ballast_damping_ns_m2: crossing.ballast.damping_ns_m2,
             sensor_sleeper: crossing.sensor.sleeper_index,
             support_factor: crossing.ballast.support_factor.clone(),
+            load_factor: layout.load_factor(),
             nodes_per_bay,
         }
     }
@@ -240,7 +243,7 @@ impl Track {
         x
     }
 
-    /// Static deflection of both rails at `nodes` under unit forces on both rails at each of them, m/N:
+    /// Static deflection of both rails at `nodes` under an axle at each of them, per half its load, m/N:
     /// `[loaded][crossing, stock][read]`.
     pub fn static_deflections_under_axle(&self, ballast_n_m2: &[f64], nodes: &[usize]) -> Vec<[Vec<f64>; 2]> {
         let system = self.system(0.0, ballast_n_m2);
@@ -248,8 +251,8 @@ impl Track {
             .iter()
             .map(|node| {
                 let mut x = vec![[ZERO; 4]; self.node_x_m.len()];
-                x[*node][0] = c64::new(1.0, 0.0);
-                x[*node][2] = c64::new(1.0, 0.0);
+                x[*node][0] = c64::new(self.load_factor[0], 0.0);
+                x[*node][2] = c64::new(self.load_factor[1], 0.0);
                 system.factor.solve(&mut x);
                 [0, 2].map(|dof| nodes.iter().map(|n| x[*n][dof].re).collect())
             })

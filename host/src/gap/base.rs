@@ -178,7 +178,7 @@ pub fn nominal_world(site: &Site, ballast: BallastParameters) -> Result<World, G
         crossing: site.crossing.clone(),
         ballast,
         bed: Bed::default(),
-        wheels: Wheels::default(),
+        wheels: Wheels { load: [site.crossing.track.load_factor(); 2], ..Wheels::default() },
         path: Path {
             scan,
             deviation: PathSplines::level(HALF_M, STEP_M),

@@ -1,8 +1,8 @@
 //! A site with the effects of a diagnosis taken into account: what the identification then starts from.
 //!
 //! Corrections go into the inputs: description (pads, rail, masses, loads) and recordings (sensitivity, clock, mounting,
-//! interference, clipping, beds that are not linear). The identification itself stays as it is: linear, symmetric in load, with
-//! the three-parameter ballast (times known factors). An effect that does not fit in there is refused; leaving it out silently
+//! interference, clipping, beds that are not linear). The identification itself stays as it is: linear, with the three-parameter
+//! ballast (times known factors). An effect that does not fit in there is refused; leaving it out silently
 //! would promise a correction that is none.
 
 use std::path::Path;
@@ -168,6 +168,8 @@ fn departure(effect: &Included, purpose: Purpose) -> Result<Option<Departure>, C
 
 /// A factor on a stiffness, mass or load.
 const FACTOR: [f64; 2] = [0.05, 20.0];
+/// A share of the load moved to the other rail; wheels stay on both.
+const TRANSFER: [f64; 2] = [-0.9, 0.9];
 
 fn include(site: &mut Site, effect: &Included) -> Result<(), CorrectionError> {
     let crossing = &mut site.crossing;
@@ -220,9 +222,7 @@ fn include(site: &mut Site, effect: &Included) -> Result<(), CorrectionError> {
                 [effect.value("factor_negative_x", FACTOR)?, effect.value("factor_positive_x", FACTOR)?];
             crossing.ballast.support_factor = support_loss::factors(sides);
         }
-        "load-transfer" => {
-            return Err(effect.refused("it assumes the same static force on both rails"));
-        }
+        "load-transfer" => crossing.track.load_transfer = effect.value("fraction", TRANSFER)?,
         "bias-step" => {
             return Err(effect.refused("every shock has a step of its own size; mend the sensor's mounting"));
         }
@@ -340,6 +340,15 @@ mod tests {
     }
 
     #[test]
+    fn analytic_transferred_load_is_on_the_track_that_everything_uses() {
+        let out = corrected(&site(), &[effect("load-transfer", &[("fraction", 0.25)])]).unwrap();
+        let track = Track::of_crossing(&out.crossing, Mesh::default());
+        assert_eq!(track.load_factor, [1.25, 0.75]);
+        // What the file says stays: the transfer is no part of it.
+        assert_eq!(toml::to_string(&out.crossing).unwrap(), toml::to_string(&site().crossing).unwrap());
+    }
+
+    #[test]
     fn analytic_lost_support_is_in_the_bed_that_everything_uses() {
         let lost = [effect("support-loss", &[("factor_negative_x", 0.5), ("factor_positive_x", 1.0)])];
         let out = corrected(&site(), &lost).unwrap();
@@ -383,8 +392,10 @@ mod tests {
         let voids = [effect("voided-sleepers", &[("gap_m", 1e-3)])];
         let error = super::corrected(&site(), &voids, Purpose::Kernel, &Silent).unwrap_err();
         assert!(error.to_string().contains("voided-sleepers"), "{error}");
-        let error = corrected(&site(), &[effect("load-transfer", &[("fraction", 0.06)])]).unwrap_err();
-        assert!(error.to_string().contains("load-transfer"), "{error}");
+        let error = corrected(&site(), &[effect("bias-step", &[("step_m_s2", 0.5)])]).unwrap_err();
+        assert!(error.to_string().contains("bias-step"), "{error}");
+        let error = corrected(&site(), &[effect("load-transfer", &[("fraction", 1.5)])]).unwrap_err();
+        assert!(matches!(error, CorrectionError::Parameter { value, .. } if value == 1.5), "{error}");
         let error = corrected(&site(), &[effect("voided-sleepers", &[])]).unwrap_err();
         assert!(matches!(error, CorrectionError::Parameter { value, .. } if value.is_nan()), "{error}");
         let error = corrected(&site(), &[effect("pad-stiffness", &[("factor", -1.0)])]).unwrap_err();

@@ -97,8 +97,8 @@ pub struct PassingResponse {
 }
 
 impl PassingResponse {
-    /// Of a constant force on both rails, faded out towards the rail ends like [`constant_force_response`]; to be placed in
-    /// windows of up to `window_len` samples.
+    /// Of the constant forces of an axle on both rails, `force_n` their mean, faded out towards the rail ends like
+    /// [`constant_force_response`]; to be placed in windows of up to `window_len` samples.
     pub fn of_constant(
         greens: &GreensFunctions,
         direction: f64,
@@ -113,8 +113,8 @@ impl PassingResponse {
         let origin = (LEAD - first) as f64;
         let silent =
             Self { rate_hz, origin, support, padded, series: vec![0.0; padded], spectrum: Vec::new() };
-        let constant = vec![force_n; positions.len()];
-        silent.with(greens, first, &positions, [&constant, &constant])
+        let [crossing, stock] = greens.load_factor.map(|factor| vec![factor * force_n; positions.len()]);
+        silent.with(greens, first, &positions, [&crossing, &stock])
     }
 
     /// With forces added on the crossing and the stock rail at positions of the wheel's own clock, from sample `first` on.

@@ -23,13 +23,13 @@ pub struct Wheelset {
 }
 
 impl Interaction {
-    /// Wheels at `position_m`, one per time step on their own clocks, in the order of passing.
+    /// Wheels at `position_m`, one per time step on their own clocks, in the order of passing; `static_force_n`: mean of both.
     pub fn wheelset(&self, position_m: &[f64], direction: f64, static_force_n: f64) -> Wheelset {
         let n = position_m.len();
         let rails = self.rail_kernels(position_m);
         let between = |read: usize, loaded: usize| self.within_wheelset(&rails, read, loaded);
         let mut stock = between(1, 1);
-        let contact = self.bogie.contact_compliance_m_n(static_force_n);
+        let [_, contact] = self.contact_compliance_m_n(static_force_n);
         for i in 0..n {
             stock[(i, i)] += contact;
         }

@@ -201,7 +201,7 @@ impl Estimator {
                 deviation[(i, 0)] += mean;
             }
             let load: f64 = (0..n).map(|k| axle.static_m_s2[k] * solved[(k, 0)]).sum();
-            let static_n = self.train.running.static_force_n * (1.0 + self.load_sd.powi(2) * load);
+            let static_n = self.train.static_force_n * (1.0 + self.load_sd.powi(2) * load);
             let low = &low_pass * &deviation;
             (0..grid_m.len()).map(|i| static_n + low[(i, 0)]).collect()
         });
@@ -238,7 +238,7 @@ impl Estimator {
         let (m, n, g) = (mean_n.len(), self.len(), low_pass.nrows());
         let whitened = low_pass * &self.own.root_n[which];
         let load_variance = self.load_sd.powi(2);
-        let static_force_n = self.train.running.static_force_n;
+        let static_force_n = self.train.static_force_n;
         // Covariance between the forces on the grid and the window.
         let mut cross = Mat::from_fn(g, n, |_, k| load_variance * static_force_n * axle.static_m_s2[k]);
         matmul(&mut cross, Accum::Add, &whitened, shaped.transpose(), 1.0, Par::Seq);

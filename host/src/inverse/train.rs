@@ -23,6 +23,8 @@ const SAME_OFFSET_M: f64 = 1e-6;
 /// Groups of axles of a train at one speed.
 pub struct Train {
     pub(super) running: Running,
+    /// Static force of a wheel on the crossing rail, newtons.
+    pub(super) static_force_n: f64,
     pub(super) rate_hz: f64,
     pub(super) wheel: Wheel,
     pub(super) shapes: Shapes,
@@ -81,6 +83,7 @@ impl Train {
             .collect();
         let mut train = Self {
             running,
+            static_force_n: model.greens.load_factor[0] * running.static_force_n,
             rate_hz,
             wheel,
             shapes: common.grids.shapes(running.speed_m_s),

@@ -36,7 +36,7 @@ pub struct Running {
     pub direction: f64,
     /// Speed, m/s.
     pub speed_m_s: f64,
-    /// Static wheel force, newtons.
+    /// Mean static force of the wheels of an axle, newtons.
     pub static_force_n: f64,
 }
 

@@ -101,6 +101,17 @@ pub struct TrackLayout {
     /// Index of the instrumented sleeper, counted with growing x.
     pub crossing_sleeper_index: usize,
     pub crossing_sleeper_x_m: f64,
+    /// Share of the static load that cant or twist moves from the stock rail to the crossing rail, of half an axle's: what a diagnosis
+    /// found, no part of the file.
+    #[serde(skip)]
+    pub load_transfer: f64,
+}
+
+impl TrackLayout {
+    /// Static force on the crossing and on the stock rail, of half an axle's.
+    pub fn load_factor(&self) -> [f64; 2] {
+        [1.0 + self.load_transfer, 1.0 - self.load_transfer]
+    }
 }
 
 /// `[rail]`

@@ -35,6 +35,7 @@ impl Track {
             ballast_damping_ns_m2: BALLAST_DAMPING_NS_M2,
             sensor_sleeper: SLEEPERS / 2,
             support_factor: Vec::new(),
+            load_factor: [1.0; 2],
             rail_halvings: 0,
             nodes_per_bay,
         }

@@ -11,7 +11,7 @@ pub struct RailGrid {
     points: Vec<Point>,
 }
 
-/// Element of a point, and the shape functions there on the crossing and on the stock rail.
+/// Element of a point, and the shape functions there on the crossing and on the stock rail, times the share of the static load.
 #[derive(Clone, Debug)]
 struct Point {
     element: usize,
@@ -26,9 +26,10 @@ impl Track {
         let point = |i: usize| {
             let position = i as f64 * step_m / self.step_m;
             let element = (position as usize).min(last - 1);
-            let shape = [Side::Crossing, Side::Stock].map(|side| {
+            let shape = [(Side::Crossing, self.load_factor[0]), (Side::Stock, self.load_factor[1])];
+            let shape = shape.map(|(side, factor)| {
                 let phi = beam::shear_ratio(self.element_section(side, element), self.step_m);
-                beam::shape(phi, self.step_m, position - element as f64)
+                beam::shape(phi, self.step_m, position - element as f64).map(|n| factor * n)
             });
             Point { element, shape }
         };
@@ -37,7 +38,7 @@ impl Track {
 }
 
 impl RailGrid {
-    /// Receptance at the sensor to a force on both rails at once at every point, of nodal values of one frequency.
+    /// Receptance at the sensor to an axle at every point, per half its load, of nodal values of one frequency.
     pub fn both_rails(&self, crossing: &[[c64; 2]], stock: &[[c64; 2]]) -> Vec<c64> {
         let at = |point: &Point| {
             [crossing, stock].iter().zip(&point.shape).fold(ZERO, |sum, (nodal, n)| {

@@ -123,6 +123,7 @@ pub(crate) fn site(pads: PadCase) -> Crossing {
             sleeper_spacing_m: 0.6,
             crossing_sleeper_index: 18,
             crossing_sleeper_x_m: 0.0,
+            load_transfer: 0.0,
         },
         rail: Rail {
             profile: "60E1".into(),

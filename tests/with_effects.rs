@@ -1,5 +1,5 @@
-//! `analyse --with-effects` over beds that are not linear and under loads that the rails share unequally, on sites simulated with
-//! another mesh, step and damping than the diagnosis has, and on recordings of another program.
+//! `analyse --with-effects` over beds that are not linear, under loads that the rails share unequally and beside steps of the baseline, on
+//! sites simulated with another mesh, step and damping than the diagnosis has, and on recordings of another program.
 //!
 //! `cargo test --release -p cpcm-tests --test with_effects -- --nocapture` prints the numbers.
 
@@ -13,7 +13,7 @@ use cpcm::pipeline::{AnalyseOptions, analyse};
 use cpcm::progress::Silent;
 use cpcm::recording::truth::read_site_truth;
 use cpcm::recording::{Site, read_site};
-use cpcm::scenario::effects::{BallastStiffening, LoadTransfer, VoidedSleepers};
+use cpcm::scenario::effects::{BallastStiffening, BiasSteps, LoadTransfer, VoidedSleepers};
 use cpcm::scenario::{Effects, SimulatedSite, read_scenario, simulate};
 use cpcm::scoring::{Score, score};
 use cpcm_tests::sample::field;
@@ -33,8 +33,12 @@ fn simulated(effects: Effects) -> SimulatedSite {
 }
 
 fn including(site: &Site, name: &str, parameter: &str, value: f64) -> Site {
-    let included = Included { name: name.into(), parameters: vec![(parameter.into(), value)] };
-    corrected(site, &[included], Purpose::Analysis, &Silent).unwrap()
+    corrected(site, &[included(name, &[(parameter, value)])], Purpose::Analysis, &Silent).unwrap()
+}
+
+fn included(name: &str, parameters: &[(&str, f64)]) -> Included {
+    let parameters = parameters.iter().map(|(name, value)| ((*name).into(), *value)).collect();
+    Included { name: name.into(), parameters }
 }
 
 fn scored(what: &str, site: &Site, of: &SimulatedSite) -> Score {
@@ -143,6 +147,19 @@ fn reference_ballast_under_a_transferred_load() {
         let holds = |i: &Interval| (i.lower..=i.upper).contains(&truth);
         assert_eq!([&without, &with].map(holds), [false, true]);
     }
+}
+
+/// Steps of a fifth of the signal, after which trains were looked for a metre from where they are.
+#[test]
+fn property_forces_beside_steps_of_the_baseline_are_found_without_them() {
+    let steps = BiasSteps { step_m_s2: 2.0, decay_s: 0.5 };
+    let of = simulated(Effects { bias_step: Some(steps), ..Effects::default() });
+    scored("with the steps", &of.site, &of);
+    let steps = included("bias-step", &[("step_m_s2", 1.5), ("decay_s", 0.3)]);
+    let site = corrected(&of.site, &[steps], Purpose::Analysis, &Silent).unwrap();
+    let without = scored("without them", &site, &of);
+    assert!(Score::p90(&without.peak) < tolerance::PEAK_P90_WITHOUT_STEPS);
+    assert!(Score::median(&without.waveform) < tolerance::WAVEFORM_WITHOUT_STEPS);
 }
 
 /// Passages without a train stay, and are told as they are.

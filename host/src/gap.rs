@@ -28,6 +28,7 @@ pub mod results;
 pub mod select;
 pub mod splines;
 pub mod split;
+mod steady;
 pub mod together;
 pub mod trains;
 pub mod trial;

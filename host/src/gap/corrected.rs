@@ -10,10 +10,12 @@ use std::path::Path;
 use serde_json::Value;
 
 use super::GapError;
+use super::base::Form;
 use super::data::QUIET_S;
 use super::effect::Effect;
 use super::effects::{forms, in_form, support_loss};
 use super::equivalent::{Departure, on_linear_bed};
+use super::steady::without_steps;
 use super::world::REFERENCE_C;
 use crate::progress::Progress;
 use crate::recording::files::read_bytes;
@@ -42,9 +44,9 @@ pub enum CorrectionError {
         /// Reason.
         why: &'static str,
     },
-    /// The recordings could not be made those of a linear bed.
-    #[error("what the bed adds to the recordings cannot be taken off")]
-    Bed(#[from] GapError),
+    /// There is no model by which something could be taken off the recordings.
+    #[error("what is to be taken off the recordings cannot be modelled")]
+    Model(#[from] GapError),
     /// An effect without its strength, or with one outside physics.
     #[error("effect {effect}: {parameter} is {value}, expected {low} … {high}")]
     Parameter {
@@ -130,15 +132,44 @@ pub fn corrected(
     progress: &dyn Progress,
 ) -> Result<Site, CorrectionError> {
     let mut out = site.clone();
-    let mut departures = Vec::new();
+    let (mut departures, mut steps) = (Vec::new(), None);
     for effect in effects {
         match departure(effect, purpose)? {
             Some(departure) => departures.push(departure),
+            None if effect.name == BIAS_STEP => steps = Some(effect),
             None => include(&mut out, effect)?,
         }
     }
-    // Last: it takes a model of everything else.
+    // Last: they take a model of everything else.
+    if let Some(effect) = steps {
+        let found = steady(&out, effect, purpose, &departures, progress)?;
+        out =
+            found.ok_or_else(|| effect.refused("no steps of the baseline are found in these recordings"))?;
+    }
     if departures.is_empty() { Ok(out) } else { Ok(on_linear_bed(&out, &departures, progress)?) }
+}
+
+/// Steps of the baseline, whose sizes are found in each recording.
+const BIAS_STEP: &str = "bias-step";
+
+/// The site without the steps of its baseline; `None` where there are none.
+fn steady(
+    site: &Site,
+    effect: &Included,
+    purpose: Purpose,
+    departures: &[Departure],
+    progress: &dyn Progress,
+) -> Result<Option<Site>, CorrectionError> {
+    effect.value("step_m_s2", [1e-3, 1e4])?;
+    effect.value("decay_s", [1e-3, 60.0])?;
+    if purpose == Purpose::Kernel {
+        return Err(effect.refused(
+            "the node meets the steps itself; mend the sensor's mounting, record again, and make the kernel then",
+        ));
+    }
+    // The first form of a bed that is not linear will do for what is slow.
+    let forms: Vec<Form> = departures.iter().filter_map(|forms| forms.first().cloned()).collect();
+    Ok(without_steps(site, &forms, progress)?)
 }
 
 /// An effect by which the bed is not linear, with its main parameter and what that may be.
@@ -223,9 +254,6 @@ fn include(site: &mut Site, effect: &Included) -> Result<(), CorrectionError> {
             crossing.ballast.support_factor = support_loss::factors(sides);
         }
         "load-transfer" => crossing.track.load_transfer = effect.value("fraction", TRANSFER)?,
-        "bias-step" => {
-            return Err(effect.refused("every shock has a step of its own size; mend the sensor's mounting"));
-        }
         _ => return Err(effect.refused("it is not in the catalogue of this version")),
     }
     Ok(())
@@ -392,8 +420,11 @@ mod tests {
         let voids = [effect("voided-sleepers", &[("gap_m", 1e-3)])];
         let error = super::corrected(&site(), &voids, Purpose::Kernel, &Silent).unwrap_err();
         assert!(error.to_string().contains("voided-sleepers"), "{error}");
-        let error = corrected(&site(), &[effect("bias-step", &[("step_m_s2", 0.5)])]).unwrap_err();
-        assert!(error.to_string().contains("bias-step"), "{error}");
+        let steps = [effect("bias-step", &[("step_m_s2", 0.5), ("decay_s", 0.4)])];
+        let error = super::corrected(&site(), &steps, Purpose::Kernel, &Silent).unwrap_err();
+        assert!(error.to_string().contains("mend the sensor's mounting"), "{error}");
+        let error = corrected(&site(), &steps).unwrap_err();
+        assert!(error.to_string().contains("no steps of the baseline are found"), "{error}");
         let error = corrected(&site(), &[effect("load-transfer", &[("fraction", 1.5)])]).unwrap_err();
         assert!(matches!(error, CorrectionError::Parameter { value, .. } if value == 1.5), "{error}");
         let error = corrected(&site(), &[effect("voided-sleepers", &[])]).unwrap_err();

@@ -2,7 +2,7 @@
 
 mod around_wheels;
 mod axle_load;
-mod bias_step;
+pub(super) mod bias_step;
 mod ballast_mass;
 mod ballast_stiffening;
 mod clock_error;

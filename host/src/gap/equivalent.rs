@@ -28,15 +28,25 @@ pub fn on_linear_bed(
     departures: &[Departure],
     progress: &dyn Progress,
 ) -> Result<Site, GapError> {
-    match without_bed(site, departures, progress) {
+    let corrected =
+        corrected_where_trains_are(site, |site| without_bed(site, departures, progress).map(Some));
+    Ok(corrected?.unwrap_or_else(|| site.clone()))
+}
+
+/// A correction of recordings that must have a train in each; passages in which none is found stay as they are.
+pub(super) fn corrected_where_trains_are(
+    site: &Site,
+    corrected: impl Fn(&Site) -> Result<Option<Site>, GapError>,
+) -> Result<Option<Site>, GapError> {
+    match corrected(site) {
         Err(GapError::SilentPassages { passage_id }) => {
-            let found = without_bed(&without(site, &passage_id), departures, progress)?;
+            let Some(found) = corrected(&without(site, &passage_id))? else { return Ok(None) };
             let mut out = site.clone();
             for p in &mut out.passages {
                 let same = found.passages.iter().find(|f| f.passage_id == p.passage_id);
                 same.into_iter().for_each(|same| *p = same.clone());
             }
-            Ok(out)
+            Ok(Some(out))
         }
         found => found,
     }

@@ -6,10 +6,12 @@ use rayon::prelude::*;
 
 use super::data::{Observed, RATE_HZ, energies, own_energy};
 use super::effect::{ActsOn, Advice, Stage};
+use super::fit::State;
 use super::forward::Response;
 use super::linear::BogieResponses;
+use super::measure::ALIGN_M;
 use super::variation::{Shapes, Variation};
-use super::world::World;
+use super::world::{SensorModel, World};
 use crate::signal::{dot, filtered, quantile, taper};
 use crate::track::Side;
 
@@ -218,6 +220,20 @@ impl<'a> Scene<'a> {
             })
             .collect()
     }
+}
+
+/// How late passages are by a model, s: as it was fitted to some of them, by correlation for the others.
+pub(super) fn late_s(
+    observed: &[Observed],
+    (state, fitted): (&State, &[usize]),
+    responses: &[Response],
+    sensor: SensorModel,
+) -> Vec<f64> {
+    let of = |(i, o): (usize, &Observed)| match fitted.contains(&i) {
+        true => state.shift_m[i] / o.speed_m_s,
+        false => o.lag(&responses[i], sensor.gain_at(o.temperature_c), ALIGN_M),
+    };
+    observed.iter().enumerate().map(of).collect()
 }
 
 /// Part of what windows are thought to hold that lowers their squares the most, at most all of it.

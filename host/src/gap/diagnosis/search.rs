@@ -5,12 +5,10 @@ use super::{LEAST_GAIN, MOST_SURE, Named, Ranked, Session};
 use crate::gap::GapError;
 use crate::gap::base::fit_variation;
 use crate::gap::effect::{ActsOn, Effect, Stage};
-use crate::gap::fit::{Fit, FitOptions, State, Whitened, fit, settled, simulate};
-use crate::gap::forward::Response;
-use crate::gap::latent::{Latent, LatentFit, Scene};
-use crate::gap::measure::{self, ALIGN_M, Missed};
+use crate::gap::fit::{Fit, FitOptions, Whitened, fit, settled, simulate};
+use crate::gap::latent::{Latent, LatentFit, Scene, late_s};
+use crate::gap::measure::{self, Missed};
 use crate::gap::select::{Standing, Tried, fit_in_place, gain, round};
-use crate::gap::world::SensorModel;
 use crate::progress::Progress;
 
 /// Most effects in a verdict.
@@ -241,7 +239,7 @@ impl Session<'_> {
         let world = state.world(&self.base.frame, &self.accepted);
         let all: Vec<usize> = (0..self.base.frame.observed.len()).collect();
         let responses = simulate(&world, &self.base.frame, &all)?;
-        let late = self.late(&state, &responses, world.sensor);
+        let late = late_s(&self.base.frame.observed, (&state, self.search), &responses, world.sensor);
         let frame = &self.base.frame;
         let scene = Scene::new(
             &world,
@@ -265,20 +263,6 @@ impl Session<'_> {
             .collect();
         self.scatter = (scene.excess(), scene.scatter());
         Ok(found)
-    }
-
-    /// Position errors in time: fitted for training passages, by correlation for the others.
-    fn late(&self, state: &State, responses: &[Response], sensor: SensorModel) -> Vec<f64> {
-        self.base
-            .frame
-            .observed
-            .iter()
-            .enumerate()
-            .map(|(i, o)| match self.search.contains(&i) {
-                true => state.shift_m[i] / o.speed_m_s,
-                false => o.lag(&responses[i], sensor.gain_at(o.temperature_c), ALIGN_M),
-            })
-            .collect()
     }
 
     /// Takes the first of a list into the model.

@@ -3,6 +3,7 @@
 mod classes;
 mod described;
 mod directions;
+mod hits;
 mod known;
 mod sound;
 
@@ -24,6 +25,7 @@ use crate::vehicle::{AxleGroup, AxlePattern, static_wheel_force_n};
 
 use self::classes::{class_of, forces_of_classes};
 use self::directions::OneWay;
+use self::hits::Hit;
 use self::known::{Found, Known};
 use self::sound::explained;
 
@@ -242,8 +244,14 @@ pub fn identify<'s>(site: &'s Site, progress: &dyn Progress) -> Result<Identifie
         .collect();
     let descriptions = Descriptions::new(crossing, &pattern);
     let problem = EvidenceProblem { track: descriptions.track(), direction, pattern: &pattern };
-    let known =
-        Known { problem: &problem, recordings: &recordings, speed_m_s, static_force_n: &static_force_n };
+    let hits = recordings.par_iter().zip(&speed_m_s).map(|(r, v)| Hit::of(r, &pattern, *v)).collect();
+    let known = Known {
+        problem: &problem,
+        recordings: &recordings,
+        speed_m_s,
+        hits,
+        static_force_n: &static_force_n,
+    };
     let all: Vec<usize> = (0..site.passages.len()).collect();
     let quasi_static = known.quasi_static_fit(&all, progress);
     let rough = quasi_static.start_of_evidence();

@@ -2,6 +2,7 @@
 
 use super::classes::{ForceClass, class_of, forces_of_classes};
 use super::described::{Descriptions, Heard};
+use super::hits::{Hit, back_to_hits};
 use super::sound::UNLIKE;
 use super::{HYPER_PASSAGES, IdentifyError, calibrated_greens, force_model, some_of, spread_out};
 use crate::ballast::BallastParameters;
@@ -29,6 +30,7 @@ pub(super) struct Known<'a> {
     pub(super) problem: &'a EvidenceProblem<'a>,
     pub(super) recordings: &'a [Recording],
     pub(super) speed_m_s: Vec<f64>,
+    pub(super) hits: Vec<Hit>,
     pub(super) static_force_n: &'a [f64],
 }
 
@@ -65,9 +67,15 @@ impl Known<'_> {
     /// Ballast and axle times on which the sleeper sinks as recorded in some passages.
     pub(super) fn quasi_static_fit(&self, which: &[usize], progress: &dyn Progress) -> QuasiStaticFit {
         progress.begin("ballast, quasi-static", 1);
-        let fit = self.quasi_static(which).fit(BallastParameters::NOMINAL);
+        let mut fit = self.quasi_static(which).fit(BallastParameters::NOMINAL);
+        self.back_to_hits(which, &mut fit.first_axle_s);
         progress.step();
         fit
+    }
+
+    fn back_to_hits(&self, which: &[usize], first_axle_s: &mut [f64]) {
+        let hits: Vec<Hit> = which.iter().map(|i| self.hits[*i]).collect();
+        back_to_hits(&hits, first_axle_s);
     }
 
     /// Identifies the site from some of its passages and their quasi-static fit.
@@ -107,7 +115,8 @@ impl Known<'_> {
         if others.is_empty() {
             return Ok(found);
         }
-        let first_axle_s = self.quasi_static(&others).align(&found.ballast.parameters);
+        let mut first_axle_s = self.quasi_static(&others).align(&found.ballast.parameters);
+        self.back_to_hits(&others, &mut first_axle_s);
         let mut passages = self.passages(&others, &first_axle_s);
         self.problem.follow(&found.calibration, &mut passages)?;
         let EvidenceProblem { direction, pattern, .. } = self.problem;

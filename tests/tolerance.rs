@@ -51,7 +51,7 @@ pub const BED_PART: f64 = 0.5;
 /// Peaks where a transferred load is taken into account, a tenth too small, part of their errors where it is not: a seventh was measured.
 pub const TRANSFER_PART: f64 = 0.3;
 /// Errors of peaks and waveforms where steps of the baseline were taken off the recordings, over those of the recordings without steps: 1.1 and
-/// 1.7 were measured, 7 and 31 with the steps.
+/// 1.7 were measured, 18 to 31 with the steps.
 pub const WITHOUT_STEPS: f64 = 2.0;
 /// Position of the peak, median, m: a shorter distance than a grinder works on.
 pub const PEAK_POSITION_M: f64 = 0.03;

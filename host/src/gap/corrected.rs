@@ -149,6 +149,28 @@ pub fn corrected(
     if departures.is_empty() { Ok(out) } else { Ok(on_linear_bed(&out, &departures, progress)?) }
 }
 
+/// What including an effect does, for whoever wants forces before it is mended; nothing for effects that need not be included.
+pub fn what_including_does(effect: &str) -> Option<&'static str> {
+    Some(match effect {
+        "pad-stiffness" => "Forces: `--with-effects` uses the stiffness found.",
+        "crossing-rail" => "Forces: `--with-effects` uses the rail found.",
+        "axle-load" => "Forces: `--with-effects` uses the load found.",
+        "unsprung-mass" => "Forces: `--with-effects` uses the mass found.",
+        "ballast-mass" => "Forces: `--with-effects` includes the mass.",
+        "support-loss" => "Forces: `--with-effects` uses the supports found.",
+        "load-transfer" => "Forces: `--with-effects` uses the transfer found.",
+        "clock-error" => "Forces: `--with-effects` takes the error out of the recordings.",
+        "gain-temperature" => "Until then `--with-effects` takes the change out of the recordings.",
+        "tonal" => "Until then `--with-effects` takes it out of the recordings.",
+        "saturation" => "`--with-effects` leaves clipped recordings out while enough others stay.",
+        "voided-sleepers" | "ballast-stiffening" => {
+            "Forces: `analyse --with-effects` takes what the bed adds off the recordings."
+        }
+        BIAS_STEP => "Forces and displacements: `analyse --with-effects` takes the steps off the recordings.",
+        _ => return None,
+    })
+}
+
 /// Steps of the baseline, whose sizes are found in each recording.
 const BIAS_STEP: &str = "bias-step";
 
@@ -318,6 +340,7 @@ fn leave_out_clipped(site: &mut Site, range_m_s2: f64) {
 
 #[cfg(test)]
 mod tests {
+    use super::super::effects::{COMMON, LATENT};
     use super::*;
     use crate::ballast::BallastParameters;
     use crate::progress::Silent;
@@ -413,6 +436,16 @@ mod tests {
         let out = corrected(&tone, &[effect("tonal", &[("frequency_hz", 40.0)])]).unwrap();
         let left: Vec<f64> = out.passages[0].acceleration_m_s2.iter().map(|v| f64::from(*v)).collect();
         assert!(crate::signal::rms(&left) < 0.03);
+    }
+
+    #[test]
+    fn property_effects_that_are_included_are_in_the_catalogue() {
+        let names: Vec<&str> =
+            COMMON.iter().map(|e| e.name()).chain(LATENT.iter().map(|e| e.name())).collect();
+        let told: Vec<&&str> = names.iter().filter(|name| what_including_does(name).is_some()).collect();
+        // Wheels and the stock rail need no inclusion; what a mount does above its resonance is lost.
+        assert_eq!(names.len() - told.len(), 6, "{told:?}");
+        assert!(told.iter().all(|name| what_including_does(name).is_some_and(|does| does.ends_with('.'))));
     }
 
     #[test]

@@ -16,6 +16,7 @@ use std::time::Instant;
 
 use super::GapError;
 use super::base::{Base, Given, PathPrior, base, nominal_world};
+use super::corrected::what_including_does;
 use super::effect::{Effect, Hints, Stage};
 use super::effects::{COMMON, LATENT, advice};
 use super::estimated_path::with_path;
@@ -133,13 +134,14 @@ pub struct Diagnosis {
 }
 
 impl Diagnosis {
-    /// What to do about an effect, and about those that it cannot be told from. Nothing is advised where most of the gap stays
+    /// What to do about an effect, how its inclusion helps, and what to do about those that it cannot be told from. Nothing is advised where most of the gap stays
     /// unexplained: another effect may be behind it.
     pub fn recommended_action(&self, effect: &Named) -> Option<String> {
         if self.verdict == Verdict::Unexplained {
             return None;
         }
-        let own = advice(effect.name)?.action.to_string();
+        let own = [Some(advice(effect.name)?.action), what_including_does(effect.name)];
+        let own = own.into_iter().flatten().collect::<Vec<_>>().join(" ");
         let or = |same: &&str| advice(same).map(|a| format!(" If it is {same}: {}", a.action));
         Some(effect.indistinguishable_from.iter().filter_map(or).fold(own, |all, one| all + &one))
     }

@@ -32,7 +32,7 @@ impl Effect for AxleLoad {
     fn advice(&self) -> Advice {
         Advice {
             what: "trains are heavier or lighter than stated",
-            action: "Nothing to repair. Compare axle_load_kg with the operator's data or a weighbridge; `--with-effects` uses the load found.",
+            action: "Nothing to repair. Compare axle_load_kg with the operator's data or a weighbridge.",
         }
     }
 

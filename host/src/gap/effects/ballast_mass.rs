@@ -32,10 +32,7 @@ impl Effect for BallastMass {
     }
 
     fn advice(&self) -> Advice {
-        Advice {
-            what: "ballast moves with the sleepers",
-            action: "Nothing to repair. `--with-effects` includes the mass in forces and kernel.",
-        }
+        Advice { what: "ballast moves with the sleepers", action: "Nothing to repair." }
     }
 
     fn parameters(&self) -> &'static [Parameter] {

@@ -64,7 +64,7 @@ impl Latent for BiasStep {
     fn advice(&self) -> Advice {
         Advice {
             what: "the sensor's baseline shifts after shocks",
-            action: "Check how the sensor is fixed, and its amplifier; replace it if that does not help. Forces and displacements: `--with-effects` takes the steps off the recordings.",
+            action: "Check how the sensor is fixed, and its amplifier; replace it if that does not help.",
         }
     }
 

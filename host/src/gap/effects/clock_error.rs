@@ -34,7 +34,7 @@ impl Effect for ClockError {
     fn advice(&self) -> Advice {
         Advice {
             what: "the recorder's clock is fast or slow",
-            action: "Set or replace the recorder's clock. Forces: `--with-effects` takes the error out of the recordings.",
+            action: "Set or replace the recorder's clock.",
         }
     }
 

@@ -46,7 +46,7 @@ impl Effect for GainTemperature {
     fn advice(&self) -> Advice {
         Advice {
             what: "the sensor's sensitivity follows its temperature",
-            action: "Calibrate or replace the sensor. Until then `--with-effects` takes the change out of the recordings.",
+            action: "Calibrate or replace the sensor.",
         }
     }
 

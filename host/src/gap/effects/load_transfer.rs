@@ -30,7 +30,7 @@ impl Effect for LoadTransfer {
     fn advice(&self) -> Advice {
         Advice {
             what: "the two rails carry unequal loads",
-            action: "Measure cant and twist at the crossing; lift and tamp where they are out of tolerance. Forces: `--with-effects` uses the transfer found.",
+            action: "Measure cant and twist at the crossing; lift and tamp where they are out of tolerance.",
         }
     }
 

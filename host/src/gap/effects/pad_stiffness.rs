@@ -34,7 +34,7 @@ impl Effect for PadStiffness {
     fn advice(&self) -> Advice {
         Advice {
             what: "rail pads are stiffer or softer than drawn",
-            action: "Compare the pads with the drawing; replace worn or hardened ones. Forces: `--with-effects` uses the stiffness found.",
+            action: "Compare the pads with the drawing; replace worn or hardened ones.",
         }
     }
 

@@ -162,3 +162,14 @@ fn smooth(values: &[f64], half: usize) -> Vec<f64> {
 fn band_pass(values: &[f64]) -> Vec<f64> {
     smooth(values, 50).iter().zip(values).map(|(slow, z)| z - slow).collect()
 }
+
+/// Adds a step of `size_m_s2` at a time, which decays.
+pub fn add_step(passage: &mut Passage, at_s: f64, size_m_s2: f64, decay_s: f64) {
+    let rate_hz = passage.sample_rate_hz;
+    for (k, a) in passage.acceleration_m_s2.iter_mut().enumerate() {
+        let since_s = k as f64 / rate_hz - at_s;
+        if since_s >= 0.0 {
+            *a += (size_m_s2 * (-since_s / decay_s).exp()) as f32;
+        }
+    }
+}

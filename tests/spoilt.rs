@@ -12,7 +12,7 @@ use cpcm::recording::truth::read_truth;
 use cpcm::recording::{Passage, Site, read_site};
 use cpcm::scoring::{Score, score};
 use cpcm::vehicle::{AxlePattern, static_wheel_force_n};
-use cpcm_tests::sample::{KNOWN_SITES, REFERENCE_SITES, field};
+use cpcm_tests::sample::{KNOWN_SITES, REFERENCE_SITES, add_step, field};
 
 /// Some passages of a recorded site.
 fn some_of(name: &str, passages: usize) -> Site {
@@ -67,12 +67,10 @@ fn regress_spoilt_passages_spoil_no_others() {
 fn regress_trains_that_a_baseline_leads_astray_are_found() {
     let mut site = site(8);
     for (k, p) in site.passages.iter_mut().enumerate() {
-        let (n, rate_hz) = (p.acceleration_m_s2.len(), p.sample_rate_hz);
+        let n = p.acceleration_m_s2.len();
         for step in 2..7 {
             let (from, sign) = (step * n / 10, if (k + step * step).is_multiple_of(3) { 1.0 } else { -1.0 });
-            for (i, a) in p.acceleration_m_s2[from..].iter_mut().enumerate() {
-                *a += (0.3 * sign * (-(i as f64) / (0.4 * rate_hz)).exp()) as f32;
-            }
+            add_step(p, from as f64 / p.sample_rate_hz, 0.3 * sign, 0.4);
         }
     }
     let analysis = analysed(&site);

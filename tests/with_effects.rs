@@ -11,12 +11,12 @@ use cpcm::analysis::{Analysis, Interval};
 use cpcm::gap::corrected::{Included, Purpose, corrected};
 use cpcm::pipeline::{AnalyseOptions, analyse};
 use cpcm::progress::Silent;
-use cpcm::recording::truth::{read_site_truth, read_truth};
-use cpcm::recording::{Passage, Site, read_site};
+use cpcm::recording::truth::{Truth, read_site_truth, read_truth};
+use cpcm::recording::{Site, read_site};
 use cpcm::scenario::effects::{BallastStiffening, LoadTransfer, VoidedSleepers};
 use cpcm::scenario::{Effects, SimulatedSite, read_scenario, simulate};
 use cpcm::scoring::{Score, score};
-use cpcm_tests::sample::field;
+use cpcm_tests::sample::{add_step, field};
 
 /// The example's site with a bed of its own, in numerics of its own.
 fn simulated(effects: Effects) -> SimulatedSite {
@@ -42,8 +42,16 @@ fn included(name: &str, parameters: &[(&str, f64)]) -> Included {
 }
 
 fn scored(what: &str, site: &Site, of: &SimulatedSite) -> Score {
-    let analysis = analyse(site, &AnalyseOptions::default(), &Silent).unwrap();
-    let scored = score(&analysis, &of.truth);
+    compared(what, &analysed(site), &of.truth)
+}
+
+fn analysed(site: &Site) -> Analysis {
+    analyse(site, &AnalyseOptions::default(), &Silent).unwrap()
+}
+
+/// Prints what an analysis is worth; p1 and p2 are 30 and 18 MN/m² on all sites here.
+fn compared(what: &str, analysis: &Analysis, truth: &Truth) -> Score {
+    let scored = score(analysis, truth);
     let (peak, p90) = (Score::median(&scored.peak), Score::p90(&scored.peak));
     let [p1, p2] = [analysis.ballast.p1_n_m2.value, analysis.ballast.p2_n_m2.value].map(|p| 1e-6 * p);
     let waveform = Score::median(&scored.waveform);
@@ -100,7 +108,7 @@ fn reference_ballast_below_a_void() {
     let name = "known-voided-sleepers";
     let [true_p1, true_p2, _] = read_site_truth(&field(name)).unwrap().ballast.p1_p2_p3.unwrap();
     let site = including(&read_site(&field(name)).unwrap(), "voided-sleepers", "gap_m", 0.764e-3);
-    let ballast = analyse(&site, &AnalyseOptions::default(), &Silent).unwrap().ballast;
+    let ballast = analysed(&site).ballast;
     let (p1, p2) = (ballast.p1_n_m2.value, ballast.p2_n_m2);
     println!(
         "p1 {:.1}, p2 {:.1} ({:.1} … {:.1}) MN/m2",
@@ -131,7 +139,7 @@ fn reference_ballast_under_a_transferred_load() {
     let [true_p1, true_p2, _] = read_site_truth(&field(name)).unwrap().ballast.p1_p2_p3.unwrap();
     let site = read_site(&field(name)).unwrap();
     let found = |site: &Site| {
-        let ballast = analyse(site, &AnalyseOptions::default(), &Silent).unwrap().ballast;
+        let ballast = analysed(site).ballast;
         [(ballast.p1_n_m2, true_p1), (ballast.p2_n_m2, true_p2)]
     };
     let (without, with) = (found(&site), found(&including(&site, "load-transfer", "fraction", 0.12)));
@@ -155,7 +163,7 @@ fn reference_forces_beside_steps_of_the_baseline() {
     let name = "reference-1";
     let mut site = read_site(&field(name)).unwrap();
     site.passages.truncate(8);
-    let clean = analyse(&site, &AnalyseOptions::default(), &Silent).unwrap();
+    let clean = analysed(&site);
     for (p, found) in site.passages.iter_mut().zip(&clean.passages) {
         for (bogie, axle_s) in found.axle_times_s.iter().step_by(2).enumerate() {
             let sign = if (bogie * bogie + p.passage_id as usize).is_multiple_of(3) { 1.0 } else { -1.0 };
@@ -164,33 +172,15 @@ fn reference_forces_beside_steps_of_the_baseline() {
     }
     let truth = read_truth(&field(name)).unwrap();
     let of = |what: &str, analysis: &Analysis| {
-        let scored = score(analysis, &truth);
-        let [peak, p90] = [Score::median(&scored.peak), Score::p90(&scored.peak)];
-        let waveform = Score::median(&scored.waveform);
-        let [p1, p2] = [analysis.ballast.p1_n_m2.value, analysis.ballast.p2_n_m2.value].map(|p| 1e-6 * p);
-        println!(
-            "{what}: peaks {peak:.4}, 90 % {p90:.4}, waveform {waveform:.4}; p1 {p1:.1}, p2 {p2:.1} MN/m2"
-        );
-        [peak, p90, waveform]
+        let scored = compared(what, analysis, &truth);
+        [Score::median(&scored.peak), Score::p90(&scored.peak), Score::median(&scored.waveform)]
     };
-    let analysed = |site: &Site| analyse(site, &AnalyseOptions::default(), &Silent).unwrap();
     of("with the steps", &analysed(&site));
     let steps = included("bias-step", &[("step_m_s2", 1.5), ("decay_s", 0.3)]);
     let without = corrected(&site, &[steps], Purpose::Analysis, &Silent).unwrap();
     let (without, clean) = (of("without them", &analysed(&without)), of("as recorded", &clean));
     for (without, clean) in without.iter().zip(clean) {
         assert!(*without < tolerance::WITHOUT_STEPS * clean);
-    }
-}
-
-/// Adds a step of `size_m_s2` at a time, which decays.
-fn add_step(passage: &mut Passage, at_s: f64, size_m_s2: f64, decay_s: f64) {
-    let rate_hz = passage.sample_rate_hz;
-    for (k, a) in passage.acceleration_m_s2.iter_mut().enumerate() {
-        let since_s = k as f64 / rate_hz - at_s;
-        if since_s >= 0.0 {
-            *a += (size_m_s2 * (-since_s / decay_s).exp()) as f32;
-        }
     }
 }
 

@@ -5,7 +5,7 @@ mod displacement;
 mod flat_top;
 mod speed;
 
-pub use comb::{SPEEDS_M_S, comb, envelope};
+pub use comb::{FARTHEST_HIT_M, SPEEDS_M_S, comb, envelope};
 pub use displacement::{HighPassSearch, complementary_displacement, high_pass_displacement};
 pub use flat_top::flat_top_m_s2;
 pub use speed::{ABOUT, SpeedSearch, estimate_speed};

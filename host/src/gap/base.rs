@@ -16,7 +16,7 @@ use super::world::{Bed, Path, SensorModel, Wheels, World};
 use crate::ballast::BallastParameters;
 use crate::ballast::quasi_static::QuasiStatic;
 use crate::passage::Profile;
-use crate::reconstruct::{ABOUT, Recording, SPEEDS_M_S, SpeedSearch, comb, estimate_speed};
+use crate::reconstruct::{ABOUT, FARTHEST_HIT_M, Recording, SPEEDS_M_S, SpeedSearch, comb, estimate_speed};
 use crate::recording::{Crossing, LEAST_RATE_HZ, Site};
 use crate::track::{Mesh, Side, Track};
 use crate::vehicle::{AxlePattern, static_wheel_force_n};
@@ -80,9 +80,6 @@ const BY_ENVELOPE: f64 = 0.008;
 /// by two percent from 3 Hz on.
 const STACKED_HZ: [f64; 2] = [20.0, 60.0];
 
-/// Wheels hit the crossing within this from x = 0, metres, half a bogie's axle spacing apart from the next choice.
-const ASTRAY_M: f64 = 1.45;
-
 /// Where the windows of a site's bogies lie, as [`window_m`] gives it.
 pub fn window_of(crossing: &Crossing) -> (f64, f64) {
     let sensor_along_m = crossing.traffic_direction.sign() * crossing.sensor_x_m();
@@ -126,7 +123,7 @@ pub fn observe(site: &Site) -> Result<Vec<Observed>, GapError> {
         .map(|((i, recording, speed_m_s, hit_s), deflected_s)| {
             let p = &site.passages[i];
             // Clipping shifts the baseline, and the deflection may then be found a whole car away.
-            let astray = (deflected_s - hit_s).abs() * speed_m_s > ASTRAY_M;
+            let astray = (deflected_s - hit_s).abs() * speed_m_s > FARTHEST_HIT_M;
             let first_axle_s = if astray { hit_s } else { deflected_s };
             let mut observed = Observed {
                 passage_id: p.passage_id,

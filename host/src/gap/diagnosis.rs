@@ -134,8 +134,8 @@ pub struct Diagnosis {
 }
 
 impl Diagnosis {
-    /// What to do about an effect, how its inclusion helps, and what to do about those that it cannot be told from. Nothing is advised where most of the gap stays
-    /// unexplained: another effect may be behind it.
+    /// What to do about an effect, how its inclusion helps, and what to do about those that it cannot be told from. Nothing is advised
+    /// where most of the gap stays unexplained: another effect may be behind it.
     pub fn recommended_action(&self, effect: &Named) -> Option<String> {
         if self.verdict == Verdict::Unexplained {
             return None;

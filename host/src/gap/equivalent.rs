@@ -28,12 +28,11 @@ pub fn on_linear_bed(
     departures: &[Departure],
     progress: &dyn Progress,
 ) -> Result<Site, GapError> {
-    let corrected =
-        corrected_where_trains_are(site, |site| without_bed(site, departures, progress).map(Some));
-    Ok(corrected?.unwrap_or_else(|| site.clone()))
+    let corrected = corrected_where_trains_are(site, |site| without_bed(site, departures, progress))?;
+    Ok(corrected.unwrap_or_else(|| site.clone()))
 }
 
-/// A correction of recordings that must have a train in each; passages in which none is found stay as they are.
+/// A correction, if there is one to be made, of recordings that must have a train in each; passages in which none is found stay as they are.
 pub(super) fn corrected_where_trains_are(
     site: &Site,
     corrected: impl Fn(&Site) -> Result<Option<Site>, GapError>,
@@ -53,7 +52,11 @@ pub(super) fn corrected_where_trains_are(
 }
 
 /// The same of recordings that have a train in each.
-fn without_bed(site: &Site, departures: &[Departure], progress: &dyn Progress) -> Result<Site, GapError> {
+fn without_bed(
+    site: &Site,
+    departures: &[Departure],
+    progress: &dyn Progress,
+) -> Result<Option<Site>, GapError> {
     let all: Vec<usize> = (0..site.passages.len()).collect();
     let searched = thinned(&all, SEARCH_PASSAGES);
     let (panel, prior) = with_path(site, &all, progress);
@@ -65,7 +68,7 @@ fn without_bed(site: &Site, departures: &[Departure], progress: &dyn Progress) -
         refits: REFITS,
     };
     let Some(mut model) = OpenBed::fitted(task, &combinations(departures), progress)? else {
-        return Ok(site.clone());
+        return Ok(None);
     };
     // Fits are to the mean of the bogies, whose path is blurred; forces are those of a wheel.
     model.world.path.blur_m = 0.0;
@@ -77,7 +80,7 @@ fn without_bed(site: &Site, departures: &[Departure], progress: &dyn Progress) -
         let there = Simulator::new(&linear, o.axle_load_kg)?.with_bogies(&o.bogie_m);
         Ok(vec![(whole.beyond(&there, o.speed_m_s)?, 1.0, true)])
     })?;
-    Ok(less(site, &added))
+    Ok(Some(less(site, &added)))
 }
 
 /// Every choice of one form of each.

@@ -4,9 +4,11 @@
 use faer::{Mat, c64};
 use rayon::prelude::*;
 
+use super::GapError;
+use super::base::Base;
 use super::data::{Observed, RATE_HZ, energies, own_energy};
 use super::effect::{ActsOn, Advice, Stage};
-use super::fit::State;
+use super::fit::{State, simulate};
 use super::forward::Response;
 use super::linear::BogieResponses;
 use super::measure::ALIGN_M;
@@ -83,29 +85,28 @@ pub trait Latent: Sync + Send {
 }
 
 impl<'a> Scene<'a> {
-    /// Residuals of a model over all passages.
-    #[allow(clippy::too_many_arguments, reason = "the parts of a model are kept apart elsewhere")]
-    pub fn new(
+    /// Residuals of all passages in a world, which is that of a state fitted to some of them; `train`: passages to learn from.
+    pub fn of(
+        base: &'a Base,
         world: &'a World,
-        observed: &'a [Observed],
-        responses: &'a [BogieResponses],
-        shapes: &'a [Shapes],
-        variation: &Variation,
-        bogies: &[Response],
-        late_s: &[f64],
+        (state, fitted): (&State, &[usize]),
         train: &'a [usize],
-    ) -> Self {
+    ) -> Result<Self, GapError> {
+        let observed = &base.frame.observed;
+        let all: Vec<usize> = (0..observed.len()).collect();
+        let bogies = simulate(world, &base.frame, &all)?;
+        let late_s = late_s(observed, (state, fitted), &bogies, world.sensor);
         let gain = |o: &Observed| world.sensor.gain_at(o.temperature_c);
         let residuals: Vec<Vec<Vec<f64>>> = observed
             .par_iter()
-            .zip(bogies)
-            .zip(late_s)
+            .zip(&bogies)
+            .zip(&late_s)
             .map(|((o, r), late)| o.window_residuals(r, gain(o), *late))
             .collect();
         let traces = observed
             .par_iter()
-            .zip(bogies)
-            .zip(late_s)
+            .zip(&bogies)
+            .zip(&late_s)
             .map(|((o, r), late)| {
                 let (start_s, mut residual) = o.trace();
                 let bogies: Vec<f64> = o.bogie_s().iter().map(|b| -(b + late)).collect();
@@ -116,7 +117,8 @@ impl<'a> Scene<'a> {
                 Trace { start_s, residual }
             })
             .collect();
-        Self { world, observed, residuals, responses, shapes, variation: *variation, train, traces }
+        let (responses, shapes) = (&base.frame.responses, &base.shapes);
+        Ok(Self { world, observed, residuals, responses, shapes, variation: base.variation, train, traces })
     }
 
     /// Values of a function of travelled distance at the knots of the path: along the crossing rail, and on the stock rail
@@ -223,7 +225,7 @@ impl<'a> Scene<'a> {
 }
 
 /// How late passages are by a model, s: as it was fitted to some of them, by correlation for the others.
-pub(super) fn late_s(
+fn late_s(
     observed: &[Observed],
     (state, fitted): (&State, &[usize]),
     responses: &[Response],

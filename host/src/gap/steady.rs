@@ -10,8 +10,8 @@ use super::diagnosis::{SEARCH_PASSAGES, thinned};
 use super::effects::bias_step::BiasStep;
 use super::equivalent::corrected_where_trains_are;
 use super::estimated_path::with_path;
-use super::fit::{State, simulate};
-use super::latent::{Latent as _, LatentFit, Scene, late_s};
+use super::fit::State;
+use super::latent::{Latent as _, LatentFit, Scene};
 use crate::progress::Progress;
 use crate::recording::{Passage, Site};
 use crate::signal::between;
@@ -59,18 +59,7 @@ fn steps_of(base: &Base, forms: &[Form], fitted: &[usize]) -> Result<Option<Late
     let state = State { effects: coordinates, ..base.fit.state.clone() };
     let world = state.world(frame, &effects);
     let all: Vec<usize> = (0..frame.observed.len()).collect();
-    let responses = simulate(&world, frame, &all)?;
-    let late = late_s(&frame.observed, (&state, fitted), &responses, world.sensor);
-    let scene = Scene::new(
-        &world,
-        &frame.observed,
-        &frame.responses,
-        &base.shapes,
-        &base.variation,
-        &responses,
-        &late,
-        &all,
-    );
+    let scene = Scene::of(base, &world, (&state, fitted), &all)?;
     Ok(BiasStep.explore(&scene))
 }
 

@@ -4,12 +4,10 @@
 //! some of them metres from where they are. The envelope of the recording knows no drift, and is right within some 0.1 m.
 
 use super::Recording;
-use crate::reconstruct::comb;
+use crate::reconstruct::{FARTHEST_HIT_M, comb};
 use crate::signal::quantile;
 use crate::vehicle::AxlePattern;
 
-/// The impact is no farther from x = 0 than this, metres: half a bogie's axle spacing from the next choice.
-const FARTHEST_M: f64 = 1.45;
 /// Trains this far from where the others are, metres, relative to their hits, were not found: of 18 recorded sites, 17 have none beyond 0.4 m,
 /// and one that clips nine between 2.4 and 18 m.
 const ASTRAY_M: f64 = 1.0;
@@ -45,7 +43,7 @@ impl Hit {
 pub fn back_to_hits(hits: &[Hit], first_axle_s: &mut [f64]) {
     let behind_m: Vec<f64> =
         hits.iter().zip(&*first_axle_s).filter_map(|(hit, time_s)| hit.behind_m(*time_s)).collect();
-    let possible: Vec<f64> = behind_m.iter().copied().filter(|b| b.abs() <= FARTHEST_M).collect();
+    let possible: Vec<f64> = behind_m.iter().copied().filter(|b| b.abs() <= FARTHEST_HIT_M).collect();
     if possible.is_empty() {
         return;
     }

@@ -15,6 +15,8 @@ const BAND_HZ: [f64; 2] = [40.0, 250.0];
 const SMOOTH_S: f64 = 0.01;
 /// Speeds of trains, m/s.
 pub const SPEEDS_M_S: [f64; 2] = [10.0, 80.0];
+/// Wheels hit the crossing within this from x = 0, metres, half a bogie's axle spacing apart from the next choice.
+pub const FARTHEST_HIT_M: f64 = 1.45;
 /// Relative step of the speed: half a smoothing length over a train of 75 m.
 const STEP: f64 = 2e-3;
 /// The envelope is flat under the wheels: sums this close to the highest, relative, are the top, and its middle the place. Its beginning,

@@ -5,8 +5,8 @@ use super::{LEAST_GAIN, MOST_SURE, Named, Ranked, Session};
 use crate::gap::GapError;
 use crate::gap::base::fit_variation;
 use crate::gap::effect::{ActsOn, Effect, Stage};
-use crate::gap::fit::{Fit, FitOptions, Whitened, fit, settled, simulate};
-use crate::gap::latent::{Latent, LatentFit, Scene, late_s};
+use crate::gap::fit::{Fit, FitOptions, Whitened, fit, settled};
+use crate::gap::latent::{Latent, LatentFit, Scene};
 use crate::gap::measure::{self, Missed};
 use crate::gap::select::{Standing, Tried, fit_in_place, gain, round};
 use crate::progress::Progress;
@@ -237,20 +237,7 @@ impl Session<'_> {
     ) -> Result<Vec<Explored>, GapError> {
         let state = self.state();
         let world = state.world(&self.base.frame, &self.accepted);
-        let all: Vec<usize> = (0..self.base.frame.observed.len()).collect();
-        let responses = simulate(&world, &self.base.frame, &all)?;
-        let late = late_s(&self.base.frame.observed, (&state, self.search), &responses, world.sensor);
-        let frame = &self.base.frame;
-        let scene = Scene::new(
-            &world,
-            &frame.observed,
-            &frame.responses,
-            &self.base.shapes,
-            &self.base.variation,
-            &responses,
-            &late,
-            &self.split.train,
-        );
+        let scene = Scene::of(self.base, &world, (&state, self.search), &self.split.train)?;
         let found = self
             .latent
             .iter()

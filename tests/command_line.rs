@@ -79,6 +79,7 @@ fn property_wrong_usage_is_code_2_and_help_is_code_0() {
     for args in [
         &["demo", "--no-such"][..],
         &["kernel", "site"],
+        &["analyse", "site", "--out", "results", "--take", "load-transfer"],
         &["node"],
         &["node", "download", "--baud", "x"],
         &[],
@@ -229,6 +230,30 @@ fn property_damaged_trials_are_not_resumed() {
     fails(
         &["blind-trial", "--seed", "3", "--trials", "1", "--resume", "--out", text(dir.path())],
         &["trials.json", "without --resume"],
+    );
+}
+
+#[test]
+fn property_effects_that_a_diagnosis_does_not_offer_are_refused_before_any_work() {
+    let out = tempfile::tempdir().unwrap();
+    let (file, site, at) = (out.path().join("diagnosis.json"), field("reference-1"), out.path().join("out"));
+    let analyse = |more: &[&str], words: &[&str]| {
+        let args = ["analyse", text(&site), "--out", text(&at)];
+        fails(&[&args[..], more].concat(), words);
+        assert!(!at.exists(), "nothing is written");
+    };
+    let with = ["--with-effects", text(&file)];
+    analyse(&with, &["diagnosis.json"]);
+    fs::write(&file, r#"{"effects": [{"name": "axle-load", "parameters": {"factor": {"value": 1.1}}, "alternatives": [{}]}]}"#)
+        .unwrap();
+    analyse(&with, &["diagnosis.json", "not a diagnosis.json", "no name"]);
+    let effects = r#"{"effects": [{"name": "axle-load", "parameters": {"factor": {"value": 1.1}},
+        "alternatives": [{"name": "load-transfer", "parameters": {"fraction": {"value": 1.5}}}]}]}"#;
+    fs::write(&file, effects).unwrap();
+    analyse(&[with[0], with[1], "--take", "pads"], &["does not offer pads", "axle-load or load-transfer"]);
+    analyse(
+        &[with[0], with[1], "--take", "load-transfer"],
+        &["load-transfer", "fraction is 1.5", "-0.9 … 0.9"],
     );
 }
 

@@ -64,6 +64,9 @@ fn recompute_with_python(diagnosis: &Path) {
     let python = |arguments: &[&std::ffi::OsStr]| Command::new("python3").args(arguments).output();
     let ready = python(&["-c".as_ref(), "import numpy, pyarrow.parquet".as_ref()]);
     if !ready.is_ok_and(|r| r.status.success()) {
+        println!(
+            "not recomputed by bench/closed_fraction.py: python3 with numpy and pyarrow is not installed"
+        );
         return;
     }
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../bench/closed_fraction.py");

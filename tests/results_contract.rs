@@ -3,7 +3,8 @@
 use std::path::Path;
 
 use cpcm::analysis::Analysis;
-use cpcm::results::{ResultsError, read_forces, write_results};
+use cpcm::report::html;
+use cpcm::results::{ResultsError, read_forces, summary_json, write_results};
 use cpcm_tests::rows;
 use cpcm_tests::sample::sample_analysis;
 use tempfile::TempDir;
@@ -94,6 +95,17 @@ fn reference_indicators_json() {
     let modes = std::fs::read_to_string(results.join(mode["file"].as_str().unwrap())).unwrap();
     assert!(modes.lines().next().unwrap().split(',').any(|c| c == mode["column"]));
     assert_eq!(modes.lines().count(), 1 + analysis.indicators.position_m.len());
+}
+
+#[test]
+fn property_results_of_corrected_recordings_say_so() {
+    let mut analysis = sample_analysis();
+    let page = |a: &Analysis| html(a).unwrap();
+    assert!(!page(&analysis).contains("included") && !summary_json(&analysis).contains("effects_included"));
+    analysis.effects_included = vec!["load-transfer (fraction 0.12)".into()];
+    let read: serde_json::Value = serde_json::from_str(&summary_json(&analysis)).unwrap();
+    assert_eq!(read["effects_included"][0], "load-transfer (fraction 0.12)");
+    assert!(page(&analysis).contains("Effects of a diagnosis included: load-transfer (fraction 0.12)."));
 }
 
 #[test]

@@ -47,6 +47,7 @@ pub fn sample_analysis() -> Analysis {
         passages,
         indicators,
         misdescription: None,
+        effects_included: Vec::new(),
         skipped: site.skipped,
     }
 }

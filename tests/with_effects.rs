@@ -8,7 +8,8 @@ mod tolerance;
 use std::path::Path;
 
 use cpcm::analysis::{Analysis, Interval};
-use cpcm::gap::corrected::{Included, Purpose, corrected};
+use cpcm::gap::corrected::{Purpose, corrected};
+use cpcm::gap::included::Included;
 use cpcm::pipeline::{AnalyseOptions, analyse};
 use cpcm::progress::Silent;
 use cpcm::recording::truth::{Truth, read_site_truth, read_truth};

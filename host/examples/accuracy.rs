@@ -8,7 +8,8 @@
 use std::path::Path;
 use std::time::Instant;
 
-use cpcm::gap::corrected::{Purpose, corrected, read_effects};
+use cpcm::gap::corrected::{Purpose, corrected};
+use cpcm::gap::included::{read_effects, taken};
 use cpcm::pipeline::{AnalyseOptions, analyse};
 use cpcm::progress::Silent;
 use cpcm::recording::read_site;
@@ -26,7 +27,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut args = std::env::args().skip(1);
     while let Some(arg) = args.next() {
         if arg == "--with-effects" {
-            effects = read_effects(Path::new(&args.next().ok_or("--with-effects wants a diagnosis.json")?))?;
+            let diagnosed =
+                read_effects(Path::new(&args.next().ok_or("--with-effects wants a diagnosis.json")?))?;
+            effects = taken(&diagnosed, &[])?;
             continue;
         }
         let dir = Path::new(&arg);

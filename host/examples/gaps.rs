@@ -101,11 +101,12 @@ impl Truth {
         Ok(Self { effect, values })
     }
 
-    /// Value, interval and truth of the main parameter of the first effect, where it is the true one.
+    /// Value, interval and truth of the main parameter of the first effect, or of the one in its group that is the true one.
     fn parameter(&self, first: &Value) -> String {
-        let Some(name) = self.effect.as_deref().filter(|e| Some(*e) == first["name"].as_str()) else {
-            return "-".into();
-        };
+        let others = first["alternatives"].as_array().into_iter().flatten();
+        let true_one =
+            [first].into_iter().chain(others).find(|e| e["name"].as_str() == self.effect.as_deref());
+        let (Some(name), Some(effect)) = (self.effect.as_deref(), true_one) else { return "-".into() };
         // Name of the truth, factor to SI units.
         let (own, scale) = match name {
             "clock-error" => ("percent", 0.01),
@@ -119,7 +120,7 @@ impl Truth {
         };
         let number = |v: &toml::Value| v.as_float().or(v.as_integer().map(|i| i as f64));
         let truth = self.values.get(own).and_then(number).map_or(f64::NAN, |v| v * scale);
-        let p = &first["parameters"][main_parameter(name)];
+        let p = &effect["parameters"][main_parameter(name)];
         let at = |key: &str| p[key].as_f64().unwrap_or(f64::NAN);
         let (lower, upper) = (at("lower"), at("upper"));
         let mark = if lower <= truth && truth <= upper { "" } else { " NO" };

@@ -22,6 +22,8 @@ pub struct Analysis {
     pub indicators: Indicators,
     /// What crossing.toml has otherwise than the recordings: then forces and irregularity mean nothing.
     pub misdescription: Option<Misdescription>,
+    /// Effects of a diagnosis for which description and recordings were corrected before, in words with their sizes.
+    pub effects_included: Vec<String>,
     /// Passages left out, each with its reason.
     pub skipped: Vec<Skipped>,
 }

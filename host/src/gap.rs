@@ -16,6 +16,7 @@ pub mod estimated_path;
 pub mod fit;
 pub mod forward;
 pub mod hammer;
+pub mod included;
 pub mod ladder;
 pub mod latent;
 pub mod linear;

@@ -103,6 +103,7 @@ pub fn evaluate(identified: &IdentifiedSite, progress: &dyn Progress) -> Result<
             None => indicators,
         },
         misdescription,
+        effects_included: Vec::new(),
         skipped: site.skipped.clone(),
     })
 }

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use anyhow::Context;
 use clap::Args;
 
-use super::output::{print, warn, warn_skipped, with_effects};
+use super::output::{Effects, print, warn, warn_skipped};
 use super::progress::Bar;
 use crate::analysis::{Analysis, Condition};
 use crate::gap::corrected::Purpose;
@@ -26,9 +26,8 @@ pub(super) struct AnalyseArgs {
     /// Directory for the results; created when missing
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// Include the effects of a diagnosis.json
-    #[arg(long, value_name = "FILE")]
-    with_effects: Option<PathBuf>,
+    #[command(flatten)]
+    effects: Effects,
     /// Print the summary as JSON (the content of indicators.json)
     #[arg(long)]
     json: bool,
@@ -39,9 +38,10 @@ impl AnalyseArgs {
         let site =
             read_site(&self.site).with_context(|| format!("cannot read site {}", self.site.display()))?;
         warn_skipped(&site.skipped);
-        let site = with_effects(site, self.with_effects.as_deref(), Purpose::Analysis)?;
-        let analysis = pipeline::analyse(&site, &AnalyseOptions::default(), &Bar::new())
+        let (site, included) = self.effects.included_in(site, Purpose::Analysis)?;
+        let mut analysis = pipeline::analyse(&site, &AnalyseOptions::default(), &Bar::new())
             .with_context(|| format!("cannot analyse site {}", self.site.display()))?;
+        analysis.effects_included = included;
         write_results(&self.out, &analysis)
             .with_context(|| format!("cannot write results to {}", self.out.display()))?;
         warn_unexplained(&analysis);
@@ -106,12 +106,13 @@ pub(super) fn summary(analysis: &Analysis) -> String {
     };
     let (used, left_out) = analysis.used_and_left_out();
     let (f, r, b) = (i.peak_force_n, i.irregularity_rms_m, &analysis.ballast);
+    let included: String = analysis.effects_included.iter().map(|e| format!("\nincluded      {e}")).collect();
     format!(
         "site          {}\ncondition     {condition}\nurgency       {}\naction        {}\n\
          force peak    {:.0} kN (middle 80 %: {:.0} … {:.0}, threshold {:.0})\n\
          irregularity  {:.0} µm RMS (middle 80 %: {:.0} … {:.0}, threshold {:.0})\n\
          ballast       {:.1} MN/m² under the crossing (90 %: {:.1} … {:.1}), {:.1} elsewhere\n\
-         passages      {} used, {} left out",
+         passages      {} used, {} left out{included}",
         analysis.crossing.name,
         i.urgency,
         i.recommended_action,

@@ -9,6 +9,7 @@ use super::output::{print, print_json, warn_skipped};
 use super::progress::Bar;
 use crate::gap::consequences::{Consequences, consequences};
 use crate::gap::diagnosis::{DiagnoseOptions, Diagnosis, diagnose};
+use crate::gap::effect::Stated;
 use crate::gap::hammer::{BAND_HZ, Hammer};
 use crate::gap::receptance::read_receptance;
 use crate::gap::results::{diagnosis_json, write_diagnosis};
@@ -82,6 +83,11 @@ fn read_hammer(files: &[PathBuf], x_m: f64) -> anyhow::Result<Hammer> {
     Hammer::new(&receptance, x_m).context("cannot use the hammer's hits")
 }
 
+fn in_words((name, value, lower, upper): &Stated) -> String {
+    let [value, lower, upper] = [value, lower, upper].map(|v| significant(*v));
+    format!("{name} {value} (90 %: {lower} … {upper})")
+}
+
 fn summary(d: &Diagnosis) -> String {
     let g = &d.gap;
     let mut text = format!(
@@ -102,15 +108,15 @@ fn summary(d: &Diagnosis) -> String {
             e.meaning(),
             e.probability
         ));
-        for (name, value, lower, upper) in &e.parameters {
-            let [value, lower, upper] = [value, lower, upper].map(|v| significant(*v));
-            text.push_str(&format!("              {name} {value} (90 %: {lower} … {upper})\n"));
+        for size in &e.parameters {
+            text.push_str(&format!("              {}\n", in_words(size)));
         }
-        if !e.indistinguishable_from.is_empty() {
-            text.push_str(&format!(
-                "              cannot be told from: {}\n",
-                e.indistinguishable_from.join(", ")
-            ));
+        for same in &e.indistinguishable_from {
+            text.push_str(&format!("              cannot be told from: {same}\n"));
+            let in_its_place = e.alternatives.iter().filter(|a| a.name == *same);
+            for size in in_its_place.flat_map(|a| &a.parameters) {
+                text.push_str(&format!("                {}\n", in_words(size)));
+            }
         }
     }
     for e in &d.effects {

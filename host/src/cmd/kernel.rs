@@ -6,7 +6,7 @@ use anyhow::Context;
 use clap::Args;
 use serde_json::json;
 
-use super::output::{print, print_json, warn, warn_skipped, with_effects};
+use super::output::{Effects, print, print_json, warn, warn_skipped};
 use super::progress::Bar;
 use crate::gap::corrected::Purpose;
 use crate::pipeline::{self, AnalyseOptions};
@@ -22,9 +22,8 @@ pub(super) struct KernelArgs {
     /// File for the package
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
-    /// Include the effects of a diagnosis.json
-    #[arg(long, value_name = "FILE")]
-    with_effects: Option<PathBuf>,
+    #[command(flatten)]
+    effects: Effects,
     /// Print a summary as JSON
     #[arg(long)]
     json: bool,
@@ -35,7 +34,7 @@ impl KernelArgs {
         let site =
             read_site(&self.site).with_context(|| format!("cannot read site {}", self.site.display()))?;
         warn_skipped(&site.skipped);
-        let site = with_effects(site, self.with_effects.as_deref(), Purpose::Kernel)?;
+        let (site, included) = self.effects.included_in(site, Purpose::Kernel)?;
         let package = pipeline::kernel(&site, &AnalyseOptions::default(), &Bar::new())
             .with_context(|| format!("cannot make a kernel for site {}", self.site.display()))?;
         write_atomic(&self.out, &package.bytes).context("cannot write the kernel package")?;
@@ -56,10 +55,13 @@ impl KernelArgs {
                 "bytes": bytes,
                 "speeds_m_s": package.speeds_m_s,
                 "outside_m_s": package.outside_m_s,
+                "effects_included": included,
             }));
         }
+        let with =
+            if included.is_empty() { String::new() } else { format!(", with {}", included.join(", ")) };
         print(&format!(
-            "{file}: kernel package of {bytes} bytes for site {}, trains of {slowest:.1} to {fastest:.1} m/s\n",
+            "{file}: kernel package of {bytes} bytes for site {}, trains of {slowest:.1} to {fastest:.1} m/s{with}\n",
             site.crossing.name
         ))
     }

@@ -1,7 +1,8 @@
 //! What including the effects of a diagnosis changes in the results that matter: force peaks, irregularity, ballast.
 
-use super::corrected::{CorrectionError, Included, Purpose, corrected};
+use super::corrected::{CorrectionError, Purpose, corrected};
 use super::diagnosis::Diagnosis;
+use super::included::Included;
 use crate::analysis::Analysis;
 use crate::pipeline::{AnalyseOptions, PipelineError, analyse};
 use crate::progress::Progress;

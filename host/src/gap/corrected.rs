@@ -5,37 +5,22 @@
 //! ballast (times known factors). An effect that does not fit in there is refused; leaving it out silently
 //! would promise a correction that is none.
 
-use std::path::Path;
-
-use serde_json::Value;
-
 use super::GapError;
 use super::base::Form;
 use super::data::QUIET_S;
 use super::effect::Effect;
 use super::effects::{forms, in_form, support_loss};
 use super::equivalent::{Departure, on_linear_bed};
+use super::included::Included;
 use super::steady::without_steps;
 use super::world::REFERENCE_C;
 use crate::progress::Progress;
-use crate::recording::files::read_bytes;
-use crate::recording::{Passage, RecordingError, Site};
+use crate::recording::{Passage, Site};
 use crate::signal::{filtered, resample};
 
 /// Why a site cannot be corrected.
 #[derive(Debug, thiserror::Error)]
 pub enum CorrectionError {
-    /// No file.
-    #[error(transparent)]
-    File(#[from] RecordingError),
-    /// The file is not a diagnosis.
-    #[error("{file}: not a diagnosis.json: {what}; make it with `cpcm diagnose SITE --out DIR`")]
-    Format {
-        /// Which file.
-        file: String,
-        /// What is wrong.
-        what: String,
-    },
     /// The identification has no place for an effect.
     #[error("effect {effect} cannot be included in the identification: {why}")]
     NotApplicable {
@@ -63,15 +48,6 @@ pub enum CorrectionError {
     },
 }
 
-/// An effect with the values of its parameters, as in `diagnosis.json`.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Included {
-    /// Name in the contract.
-    pub name: String,
-    /// Name and value, SI units.
-    pub parameters: Vec<(String, f64)>,
-}
-
 impl Included {
     fn value(&self, parameter: &'static str, [low, high]: [f64; 2]) -> Result<f64, CorrectionError> {
         let value = self.parameters.iter().find(|(n, _)| n == parameter).map_or(f64::NAN, |p| p.1);
@@ -93,26 +69,6 @@ impl Included {
     fn refused(&self, why: &'static str) -> CorrectionError {
         CorrectionError::NotApplicable { effect: self.name.clone(), why }
     }
-}
-
-/// Effects named in a `diagnosis.json`.
-pub fn read_effects(file: &Path) -> Result<Vec<Included>, CorrectionError> {
-    let wrong = |what: String| CorrectionError::Format { file: file.display().to_string(), what };
-    let json: Value = serde_json::from_slice(&read_bytes(file)?).map_err(|e| wrong(e.to_string()))?;
-    let effects = json["effects"].as_array().ok_or_else(|| wrong("no list `effects`".into()))?;
-    effects
-        .iter()
-        .map(|e| {
-            let name = e["name"].as_str().ok_or_else(|| wrong("an effect has no name".into()))?;
-            let parameters = e["parameters"].as_object().into_iter().flatten();
-            Ok(Included {
-                name: name.into(),
-                parameters: parameters
-                    .map(|(n, p)| (n.clone(), p["value"].as_f64().unwrap_or(f64::NAN)))
-                    .collect(),
-            })
-        })
-        .collect()
 }
 
 /// What a corrected site is for.
@@ -340,6 +296,8 @@ fn leave_out_clipped(site: &mut Site, range_m_s2: f64) {
 
 #[cfg(test)]
 mod tests {
+    use std::path::Path;
+
     use super::super::effects::{COMMON, LATENT};
     use super::*;
     use crate::ballast::BallastParameters;

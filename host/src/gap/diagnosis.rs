@@ -1,6 +1,7 @@
 //! The diagnosis of a site: base model, search for effects, verdict, and what is left of the gap on held-out passages.
 
 mod afresh;
+mod alternatives;
 mod both;
 mod candidates;
 mod conclusion;
@@ -17,7 +18,7 @@ use std::time::Instant;
 use super::GapError;
 use super::base::{Base, Given, PathPrior, base, nominal_world};
 use super::corrected::what_including_does;
-use super::effect::{Effect, Hints, Stage};
+use super::effect::{Effect, Hints, Stage, Stated};
 use super::effects::{COMMON, LATENT, advice};
 use super::estimated_path::with_path;
 use super::fit::{Fit, State};
@@ -34,6 +35,7 @@ use crate::ballast::BallastParameters;
 use crate::progress::Progress;
 use crate::reconstruct::flat_top_m_s2;
 use crate::recording::Site;
+pub use alternatives::Alternative;
 use recorder::Recorder;
 
 /// Choices of a diagnosis.
@@ -56,10 +58,12 @@ pub struct Named {
     pub stage: Stage,
     /// Probability that it acts, given the catalogue.
     pub probability: f64,
-    /// Name, value, 90 % interval.
-    pub parameters: Vec<(&'static str, f64, f64, f64)>,
+    /// Of its sizes.
+    pub parameters: Vec<Stated>,
     /// Effects that the recordings cannot tell from it.
     pub indistinguishable_from: Vec<&'static str>,
+    /// Those of the panel among them, in its place.
+    pub alternatives: Vec<Alternative>,
     /// What it took off the residual of the training passages, RMS: of the acceleration relative to the wheels' scatter, or
     /// half of that of the displacement relative to what is left, whichever is more.
     pub gained: f64,
@@ -83,7 +87,8 @@ pub struct Ranked {
     pub probability: f64,
     /// Gain in log evidence per independent look in the round in which it did best.
     pub gain: f64,
-    /// Gap on the held-out passages with everything named, for a named effect; that of the base model for the others.
+    /// Gap on the held-out passages with everything named, for a named effect; with it in the place of one that it cannot be told from;
+    /// that of the base model for the others.
     pub gap_after: f64,
 }
 
@@ -142,7 +147,11 @@ impl Diagnosis {
         }
         let own = [Some(advice(effect.name)?.action), what_including_does(effect.name)];
         let own = own.into_iter().flatten().collect::<Vec<_>>().join(" ");
-        let or = |same: &&str| advice(same).map(|a| format!(" If it is {same}: {}", a.action));
+        let take = |same: &str| match effect.alternatives.iter().any(|a| a.name == same) {
+            true => format!(" Forces: `--with-effects` with `--take {same}`."),
+            false => String::new(),
+        };
+        let or = |same: &&str| advice(same).map(|a| format!(" If it is {same}: {}{}", a.action, take(same)));
         Some(effect.indistinguishable_from.iter().filter_map(or).fold(own, |all, one| all + &one))
     }
 }

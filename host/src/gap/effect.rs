@@ -81,6 +81,9 @@ impl Parameter {
     }
 }
 
+/// Name of a parameter with its unit, value, ends of the 90 % interval.
+pub type Stated = (&'static str, f64, f64, f64);
+
 /// What an effect acts on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ActsOn {

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use super::GapError;
 use super::base::Base;
 use super::data::{Observed, RATE_HZ, energies, own_energy};
-use super::effect::{ActsOn, Advice, Stage};
+use super::effect::{ActsOn, Advice, Stage, Stated};
 use super::fit::{State, simulate};
 use super::forward::Response;
 use super::linear::BogieResponses;
@@ -51,7 +51,7 @@ pub struct LatentFit {
     /// Gain in log evidence over the training passages.
     pub gain: f64,
     /// Values with intervals: name, value, lower, upper.
-    pub parameters: Vec<(&'static str, f64, f64, f64)>,
+    pub parameters: Vec<Stated>,
     /// Whether it shows in what is recorded while no train is near, whatever the model.
     pub apart: bool,
     /// Share of the wheels that have it; none for an effect of the recordings.

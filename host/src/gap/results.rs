@@ -6,6 +6,7 @@ use serde_json::{Value, json};
 
 use super::data::RATE_HZ;
 use super::diagnosis::Diagnosis;
+use super::effect::Stated;
 use super::measure::Prediction;
 use crate::recording::RecordingError;
 use crate::recording::files::{create_dir, write_atomic};
@@ -47,13 +48,15 @@ pub fn diagnosis_json(d: &Diagnosis) -> Value {
         .effects
         .iter()
         .map(|e| {
-            let parameters: serde_json::Map<String, Value> = e
-                .parameters
+            let alternatives: Vec<Value> = e
+                .alternatives
                 .iter()
-                .map(|(n, v, l, u)| ((*n).to_string(), json!({"value": v, "lower": l, "upper": u})))
+                .map(|a| {
+                    json!({"name": a.name, "parameters": parameters_json(&a.parameters), "gap_after": finite(a.gap_after)})
+                })
                 .collect();
-            json!({"name": e.name, "probability": e.probability, "parameters": parameters,
-                   "indistinguishable_from": e.indistinguishable_from, "gained": finite(e.gained),
+            json!({"name": e.name, "probability": e.probability, "parameters": parameters_json(&e.parameters),
+                   "indistinguishable_from": e.indistinguishable_from, "alternatives": alternatives, "gained": finite(e.gained),
                    "meaning": e.meaning(), "recommended_action": d.recommended_action(e)})
         })
         .collect();
@@ -89,6 +92,13 @@ pub fn diagnosis_json(d: &Diagnosis) -> Value {
         out["consequences"] = json!(c);
     }
     out
+}
+
+fn parameters_json(list: &[Stated]) -> Value {
+    let of_name = |(name, value, lower, upper): &Stated| {
+        ((*name).to_string(), json!({"value": value, "lower": lower, "upper": upper}))
+    };
+    Value::Object(list.iter().map(of_name).collect())
 }
 
 fn finite(value: f64) -> Option<f64> {

@@ -82,6 +82,7 @@ mod tests {
             probability: 0.9,
             parameters: Vec::new(),
             indistinguishable_from: Vec::new(),
+            alternatives: Vec::new(),
             gained: 1.0,
         }]
     }

@@ -7,6 +7,7 @@ use super::page::{self, Figure, Key, escape};
 use super::plot::{Axis, BLUE, GREY, Layer, ORANGE, Plot, Point, range_of};
 use crate::gap::consequences::Change;
 use crate::gap::diagnosis::{Diagnosis, Named};
+use crate::gap::effect::Stated;
 use crate::gap::measure::Prediction;
 use crate::gap::verdict::{Verdict, closed};
 
@@ -112,6 +113,13 @@ pub fn significant(value: f64) -> String {
     }
 }
 
+fn in_words(sizes: &[Stated]) -> String {
+    let size = |(n, v, l, u): &Stated| {
+        format!("{n} {} ({} \u{2026} {})", significant(*v), significant(*l), significant(*u))
+    };
+    sizes.iter().map(size).collect::<Vec<_>>().join("; ")
+}
+
 fn effects(d: &Diagnosis) -> String {
     if d.effects.is_empty() {
         return String::new();
@@ -120,18 +128,15 @@ fn effects(d: &Diagnosis) -> String {
         .effects
         .iter()
         .map(|e| {
-            let parameters: Vec<String> = e
-                .parameters
-                .iter()
-                .map(|(n, v, l, u)| {
-                    format!("{n} {} ({} \u{2026} {})", significant(*v), significant(*l), significant(*u))
-                })
-                .collect();
+            let same = e.indistinguishable_from.iter().map(|same| {
+                let sizes = e.alternatives.iter().find(|a| a.name == *same).map(|a| in_words(&a.parameters));
+                sizes.map_or((*same).into(), |sizes| format!("{same} of {sizes}"))
+            });
             vec![
                 format!("{}: {}", e.name, e.meaning()),
                 format!("{:.2}", e.probability),
-                parameters.join("; "),
-                e.indistinguishable_from.join(", "),
+                in_words(&e.parameters),
+                same.collect::<Vec<_>>().join(", "),
             ]
         })
         .collect();

@@ -25,14 +25,26 @@ pub(super) fn html(analysis: &Analysis) -> String {
         })
         .collect();
     format!(
-        "<h1>{}</h1>\n<p class=\"sub\">{}</p>\n<section class=\"headline {class}\">\n\
+        "<h1>{}</h1>\n<p class=\"sub\">{}</p>\n{}<section class=\"headline {class}\">\n\
          <p class=\"verdict\">{verdict}</p>\n<p class=\"action\"><strong>{}</strong> {}</p>\n\
          <dl class=\"facts\">\n{facts}</dl>\n</section>\n",
         escape(&analysis.crossing.name),
         escape(&subtitle(analysis)),
+        included(&analysis.effects_included),
         escape(&sentence(&i.urgency)),
         escape(&sentence(&i.recommended_action)),
     )
+}
+
+/// A page of corrected recordings must not pass for one of those that were made.
+fn included(effects: &[String]) -> String {
+    match effects {
+        [] => String::new(),
+        _ => format!(
+            "<p class=\"sub\">Effects of a diagnosis included: {}.</p>\n",
+            escape(&effects.join(", "))
+        ),
+    }
 }
 
 fn subtitle(analysis: &Analysis) -> String {

@@ -15,6 +15,9 @@ struct File<'a> {
     irregularity_rms_m: Indicator,
     ballast: Ballast,
     passages: Passages<'a>,
+    /// Description and recordings were corrected for them before.
+    #[serde(skip_serializing_if = "<[String]>::is_empty")]
+    effects_included: &'a [String],
 }
 
 #[derive(Serialize)]
@@ -103,6 +106,7 @@ pub(super) fn json(analysis: &Analysis) -> String {
             wheelsets: analysis.passages.iter().map(|p| p.wheelsets.len()).sum(),
             skipped,
         },
+        effects_included: &analysis.effects_included,
     };
     // Numbers and strings only: serde_json writes NaN as null and has nothing else to refuse.
     serde_json::to_string_pretty(&file).unwrap_or_default() + "\n"

@@ -3,8 +3,8 @@
 use super::recorder::SATURATION;
 use super::{Diagnosis, Named, Session};
 use crate::gap::GapError;
-use crate::gap::effect::{Effect, Scale, Stage};
-use crate::gap::fit::{Fit, FitOptions, fit, replaced, simulate};
+use crate::gap::effect::{Effect, Scale, Stage, Stated};
+use crate::gap::fit::{Fit, FitOptions, State, fit, replaced, simulate};
 use crate::gap::forward::{Detail, Response};
 use crate::gap::hammer::{Agreement, BAND_HZ};
 use crate::gap::ladder::ladder;
@@ -62,6 +62,9 @@ impl Session<'_> {
         let may_be_path = !has_scan && !self.untrusted && verdict == Verdict::Unexplained;
         if may_be_path {
             self.doubt_without_scan();
+        }
+        if verdict != Verdict::NoGap {
+            self.describe_alternatives(base_world)?;
         }
         let corrected = if self.named.is_empty() { base_world } else { &after_world };
         let track = self.ask_hammer(base_world, corrected)?;
@@ -167,7 +170,7 @@ impl Session<'_> {
         loop {
             let mut predicted = match self.named.is_empty() {
                 true => predictions(&self.base.frame, base, base, &[]),
-                false => self.corrected(base, &all)?,
+                false => self.corrected(base, (&self.accepted, &self.state()), &all)?,
             };
             tell_apart(&mut predicted, &self.base.frame.observed, &self.base.shapes);
             let gap = measure(&self.held_out(&predicted), !self.named.is_empty());
@@ -179,10 +182,15 @@ impl Session<'_> {
         }
     }
 
-    /// Predictions of the base model and of the one with everything named.
-    fn corrected(&self, base: (&World, &[Response]), all: &[usize]) -> Result<Vec<Prediction>, GapError> {
+    /// Predictions of the base model and of one with effects of the panel, and everything else that is named.
+    pub(super) fn corrected(
+        &self,
+        base: (&World, &[Response]),
+        (effects, state): (&[&'static dyn Effect], &State),
+        all: &[usize],
+    ) -> Result<Vec<Prediction>, GapError> {
         let frame = &self.base.frame;
-        let after = self.state().world(frame, &self.accepted);
+        let after = state.world(frame, effects);
         let responses = simulate(&after, frame, all)?;
         let latent: Vec<&LatentFit> = self.latent_fits.iter().map(|(_, f)| f).collect();
         Ok(predictions(frame, base, (&after, &responses), &latent))
@@ -231,7 +239,7 @@ impl Session<'_> {
         );
     }
 
-    fn held_out(&self, predicted: &[Prediction]) -> Vec<Prediction> {
+    pub(super) fn held_out(&self, predicted: &[Prediction]) -> Vec<Prediction> {
         self.split.test.iter().map(|i| predicted[*i].clone()).collect()
     }
 
@@ -261,24 +269,32 @@ impl Session<'_> {
 
     /// Parameters with intervals of the accepted effects.
     fn describe(&mut self, fit: &Fit) {
-        let widen = 1.645 * fit.inflation().sqrt();
-        let mut at = 3;
-        for (effect, coordinates) in self.accepted.iter().zip(&fit.state.effects) {
-            let mut list = Vec::new();
-            for (p, c) in effect.parameters().iter().zip(coordinates) {
-                let model = p.model_error * if p.scale == Scale::Log { 1.0 } else { c.abs().max(1.0) };
-                let half = CALIBRATED * (widen * fit.covariance[(at, at)].max(0.0).sqrt() + model);
-                at += 1;
-                if !p.nuisance {
-                    let ends = [p.value(c - half), p.value(c + half)];
-                    list.push((p.name, p.value(*c), ends[0].min(ends[1]), ends[0].max(ends[1])));
-                }
-            }
+        for (effect, list) in self.accepted.iter().zip(stated(&self.accepted, fit)) {
             if let Some(named) = self.named.iter_mut().find(|n| n.name == effect.name()) {
                 named.parameters = list;
             }
         }
     }
+}
+
+/// Parameters with intervals of the effects of a fit.
+pub(super) fn stated(effects: &[&dyn Effect], fit: &Fit) -> Vec<Vec<Stated>> {
+    let widen = 1.645 * fit.inflation().sqrt();
+    let mut at = 3;
+    let of_effect = |(effect, coordinates): (&&dyn Effect, &Vec<f64>)| {
+        let mut list = Vec::new();
+        for (p, c) in effect.parameters().iter().zip(coordinates) {
+            let model = p.model_error * if p.scale == Scale::Log { 1.0 } else { c.abs().max(1.0) };
+            let half = CALIBRATED * (widen * fit.covariance[(at, at)].max(0.0).sqrt() + model);
+            at += 1;
+            if !p.nuisance {
+                let ends = [p.value(c - half), p.value(c + half)];
+                list.push((p.name, p.value(*c), ends[0].min(ends[1]), ends[0].max(ends[1])));
+            }
+        }
+        list
+    };
+    effects.iter().zip(&fit.state.effects).map(of_effect).collect()
 }
 
 /// Whether the intervals that are stated of all sizes of an effect hold where there is none.

@@ -3,7 +3,7 @@
 
 use super::search::PROBABILITY_SCALE;
 use super::{LEAST_GAIN, MOST_SURE, Named, Ranked, Session};
-use crate::gap::effect::{Stage, Witness};
+use crate::gap::effect::{Stage, Stated, Witness};
 use crate::gap::fit::Frame;
 use crate::gap::world::SensorModel;
 
@@ -97,13 +97,14 @@ impl Session<'_> {
         }
     }
 
-    fn known(&mut self, name: &'static str, stage: Stage, parameter: (&'static str, f64, f64, f64)) {
+    fn known(&mut self, name: &'static str, stage: Stage, parameter: Stated) {
         self.named.push(Named {
             name,
             stage,
             probability: MOST_SURE,
             parameters: vec![parameter],
             indistinguishable_from: Vec::new(),
+            alternatives: Vec::new(),
             gained: f64::NAN,
         });
         self.rank_alone(name, stage, (MOST_SURE, f64::INFINITY));

@@ -297,6 +297,7 @@ impl Session<'_> {
             probability: ranked.map_or(MOST_SURE, |r| r.probability),
             parameters: Vec::new(),
             indistinguishable_from: Vec::new(),
+            alternatives: Vec::new(),
             gained: f64::NAN,
         }
     }

@@ -54,13 +54,16 @@ pub fn score(answer: Answer, diagnosis: &Value) -> Score {
             verdict == "unexplained" || answer.effects.iter().any(|e| stage == stage_of(e))
         }
     };
-    let interval = effects.first().and_then(|e| {
+    let ends = |e: &Value| {
         let name = text(&e["name"]);
         let (_, value) = answer.parameters.iter().find(|(n, _)| *n == name)?;
         let p = &e["parameters"][main_parameter(&name)];
         let (a, b) = (p["lower"].as_f64()? / value - 1.0, p["upper"].as_f64()? / value - 1.0);
         Some([a.min(b), a.max(b)])
-    });
+    };
+    let of_group =
+        |e: &Value| ends(e).or_else(|| e["alternatives"].as_array().into_iter().flatten().find_map(ends));
+    let interval = effects.first().and_then(of_group);
     let covered = interval.map(|[l, u]| l <= 0.0 && 0.0 <= u);
     let floor = diagnosis["gap"]["noise_floor"].as_f64().unwrap_or(f64::NAN);
     Score {

@@ -14,6 +14,7 @@ use cpcm::gap::results::diagnosis_json;
 use cpcm::gap::trial::main_parameter;
 use cpcm::progress::Silent;
 use cpcm::recording::read_site;
+use cpcm::report::diagnosis::significant;
 use serde_json::Value;
 
 /// Asked of a site with a known effect.
@@ -124,6 +125,7 @@ impl Truth {
         let at = |key: &str| p[key].as_f64().unwrap_or(f64::NAN);
         let (lower, upper) = (at("lower"), at("upper"));
         let mark = if lower <= truth && truth <= upper { "" } else { " NO" };
-        format!("{:.4} ({lower:.4} … {upper:.4}), {truth:.4}{mark}", at("value"))
+        let [value, low, high, truth] = [at("value"), lower, upper, truth].map(significant);
+        format!("{value} ({low} … {high}), {truth}{mark}")
     }
 }

@@ -17,9 +17,8 @@ use std::time::Instant;
 
 use super::GapError;
 use super::base::{Base, Given, PathPrior, base, nominal_world};
-use super::corrected::what_including_does;
 use super::effect::{Effect, Hints, Stage, Stated};
-use super::effects::{COMMON, LATENT, advice};
+use super::effects::{COMMON, LATENT, advice, inclusion};
 use super::estimated_path::with_path;
 use super::fit::{Fit, State};
 use super::hammer::Hammer;
@@ -145,7 +144,7 @@ impl Diagnosis {
         if self.verdict == Verdict::Unexplained {
             return None;
         }
-        let own = [Some(advice(effect.name)?.action), what_including_does(effect.name)];
+        let own = [Some(advice(effect.name)?.action), inclusion(effect.name)?.does];
         let own = own.into_iter().flatten().collect::<Vec<_>>().join(" ");
         let take = |same: &str| match effect.alternatives.iter().any(|a| a.name == same) {
             true => format!(" Forces: `--with-effects` with `--take {same}`."),

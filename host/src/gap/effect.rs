@@ -1,5 +1,6 @@
 //! What an effect of the catalogue is.
 
+use super::included::Inclusion;
 use super::world::World;
 
 /// Where in the chain an effect sits.
@@ -128,6 +129,8 @@ pub trait Effect: Sync + Send {
     fn stage(&self) -> Stage;
     /// What it means, and what to do about it.
     fn advice(&self) -> Advice;
+    /// What `--with-effects` does with it.
+    fn inclusion(&self) -> Inclusion;
     /// Parameters, in the order of `values`.
     fn parameters(&self) -> &'static [Parameter];
     /// Coordinates from which the search starts: nought, where there is no effect, unless the way from there leads elsewhere.

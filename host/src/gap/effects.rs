@@ -15,7 +15,7 @@ mod mount_resonance;
 mod pad_stiffness;
 pub mod saturation;
 mod stock_irregularity;
-pub(super) mod support_loss;
+mod support_loss;
 mod tonal;
 mod unsprung_mass;
 mod voided_sleepers;
@@ -23,6 +23,7 @@ mod wheel_flat;
 mod wheel_out_of_roundness;
 
 use super::effect::{Advice, Effect};
+use super::included::Inclusion;
 use super::latent::Latent;
 
 /// Effects that all wheels and passages share.
@@ -57,6 +58,12 @@ pub static LATENT: [&dyn Latent; 5] = [
 pub fn advice(name: &str) -> Option<Advice> {
     let of_common = || common(name).map(|e| e.advice());
     LATENT.iter().find(|e| e.name() == name).map(|e| e.advice()).or_else(of_common)
+}
+
+/// What `--with-effects` does with an effect of the catalogue.
+pub fn inclusion(name: &str) -> Option<Inclusion> {
+    let of_common = || common(name).map(|e| e.inclusion());
+    LATENT.iter().find(|e| e.name() == name).map(|e| e.inclusion()).or_else(of_common)
 }
 
 /// An effect that all wheels and passages share, by its name in the contract.

@@ -1,11 +1,11 @@
-//! Effects to include in an identification, with their sizes, as a `diagnosis.json` has them.
+//! Effects to include in an identification, with their sizes, as a `diagnosis.json` has them, and what becomes of each.
 
 use std::path::Path;
 
 use serde_json::Value;
 
-use crate::recording::RecordingError;
 use crate::recording::files::read_bytes;
+use crate::recording::{RecordingError, Site};
 
 /// An effect with the values of its parameters.
 #[derive(Clone, Debug, PartialEq)]
@@ -15,6 +15,71 @@ pub struct Included {
     /// Name and value, SI units.
     pub parameters: Vec<(String, f64)>,
 }
+
+/// A size that is missing (NaN), or outside physics.
+#[derive(Debug, thiserror::Error)]
+#[error("effect {effect}: {parameter} is {value}, expected {low} … {high}")]
+pub struct OutOfRange {
+    /// Name in the contract.
+    pub effect: String,
+    /// Name of the parameter.
+    pub parameter: &'static str,
+    /// As read; NaN where it is missing.
+    pub value: f64,
+    /// Ends of the range.
+    pub low: f64,
+    /// Ends of the range.
+    pub high: f64,
+}
+
+impl Included {
+    /// A size of the effect, within a range.
+    pub fn value(&self, parameter: &'static str, [low, high]: [f64; 2]) -> Result<f64, OutOfRange> {
+        let value = self.parameters.iter().find(|(n, _)| n == parameter).map_or(f64::NAN, |p| p.1);
+        if value >= low && value <= high {
+            return Ok(value);
+        }
+        Err(OutOfRange { effect: self.name.clone(), parameter, value, low, high })
+    }
+}
+
+/// What `--with-effects` does with an effect.
+#[derive(Clone, Copy)]
+pub struct Inclusion {
+    /// In the words of whoever wants forces before it is mended; `None` where that is not worth saying.
+    pub does: Option<&'static str>,
+    /// How it is done.
+    pub how: How,
+}
+
+/// How an effect is included in the identification, which itself stays linear, with the three-parameter ballast.
+#[derive(Clone, Copy)]
+pub enum How {
+    /// Not at all: the identification estimates what the effect changes anyway.
+    Needless,
+    /// Description or recordings are corrected.
+    Corrected(fn(&mut Site, &Included) -> Result<(), OutOfRange>),
+    /// Recordings are made those of a linear bed. The effect's main parameter, and what it may be.
+    Linearised(&'static str, [f64; 2]),
+    /// Its steps are found in each recording, and taken off.
+    Steadied,
+}
+
+impl Inclusion {
+    /// Of an effect of which everything that matters is estimated anyway.
+    pub const NEEDLESS: Self = Self { does: None, how: How::Needless };
+
+    /// Of an effect for which description or recordings are corrected.
+    pub fn corrected(does: &'static str, by: fn(&mut Site, &Included) -> Result<(), OutOfRange>) -> Self {
+        Self { does: Some(does), how: How::Corrected(by) }
+    }
+}
+
+/// What is done where a bed is not linear.
+pub const TAKEN_OFF: &str = "Forces: `analyse --with-effects` takes what the bed adds off the recordings.";
+
+/// What a factor on a stiffness, mass or load may be.
+pub const FACTOR: [f64; 2] = [0.05, 20.0];
 
 /// An effect that a diagnosis names, and those from which the recordings cannot tell it, in its place.
 #[derive(Clone, Debug, PartialEq)]

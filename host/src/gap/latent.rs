@@ -10,6 +10,7 @@ use super::data::{Observed, RATE_HZ, energies, own_energy};
 use super::effect::{ActsOn, Advice, Stage, Stated};
 use super::fit::{State, simulate};
 use super::forward::Response;
+use super::included::Inclusion;
 use super::linear::BogieResponses;
 use super::measure::ALIGN_M;
 use super::variation::{Shapes, Variation};
@@ -72,6 +73,8 @@ pub trait Latent: Sync + Send {
     fn stage(&self) -> Stage;
     /// What it means, and what to do about it.
     fn advice(&self) -> Advice;
+    /// What `--with-effects` does with it.
+    fn inclusion(&self) -> Inclusion;
     /// What it acts on.
     fn acts_on(&self) -> ActsOn {
         if self.stage() == Stage::Vehicle { ActsOn::Wheels } else { ActsOn::Recordings }

@@ -10,6 +10,7 @@ use crate::gap::base::Form;
 use crate::gap::data::{Observed, RATE_HZ};
 use crate::gap::effect::{ActsOn, Advice, Effect, Stage};
 use crate::gap::effects::{forms, in_form};
+use crate::gap::included::Inclusion;
 use crate::gap::latent::{Latent, LatentFit, Scene};
 use crate::gap::measure::Missed;
 use crate::gap::open_bed::{OpenBed, Task, Trace};
@@ -100,6 +101,10 @@ impl Latent for WholeTrains {
 
     fn advice(&self) -> Advice {
         Advice { what: "trains are more than the sum of their bogies", action: "Nothing to do." }
+    }
+
+    fn inclusion(&self) -> Inclusion {
+        Inclusion::NEEDLESS
     }
 
     fn acts_on(&self) -> ActsOn {

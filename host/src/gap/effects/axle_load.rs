@@ -3,6 +3,7 @@
 //! Everything scales, the excitation by the crossing apart; passenger load changes a coach by up to a sixth.
 
 use crate::gap::effect::{Advice, Effect, MODEL_ERROR, Parameter, Scale, Stage};
+use crate::gap::included::{FACTOR, Inclusion};
 use crate::gap::world::World;
 
 /// See the module.
@@ -34,6 +35,15 @@ impl Effect for AxleLoad {
             what: "trains are heavier or lighter than stated",
             action: "Nothing to repair. Compare axle_load_kg with the operator's data or a weighbridge.",
         }
+    }
+
+    fn inclusion(&self) -> Inclusion {
+        Inclusion::corrected("Forces: `--with-effects` uses the load found.", |site, effect| {
+            let factor = effect.value("factor", FACTOR)?;
+            site.crossing.vehicle.axle_load_kg *= factor;
+            site.passages.iter_mut().for_each(|p| p.axle_load_kg *= factor);
+            Ok(())
+        })
     }
 
     fn parameters(&self) -> &'static [Parameter] {

@@ -4,6 +4,7 @@
 //! size.
 
 use crate::gap::effect::{Advice, Effect, Hints, Parameter, Scale, Stage};
+use crate::gap::included::Inclusion;
 use crate::gap::world::World;
 
 /// See the module.
@@ -33,6 +34,15 @@ impl Effect for BallastMass {
 
     fn advice(&self) -> Advice {
         Advice { what: "ballast moves with the sleepers", action: "Nothing to repair." }
+    }
+
+    fn inclusion(&self) -> Inclusion {
+        Inclusion::corrected("Forces: `--with-effects` includes the mass.", |site, effect| {
+            // It moves with the sleeper and adds nothing to its stiffness.
+            let s = &mut site.crossing.sleeper;
+            s.density_kg_m3 += effect.value("mass_kg_m", [0.0, 2000.0])? / (s.width_m * s.height_m);
+            Ok(())
+        })
     }
 
     fn parameters(&self) -> &'static [Parameter] {

@@ -4,6 +4,7 @@
 //! paper fig. 12) to where nothing is left of the effect. The search runs over 1/w₀, which is nought without the effect.
 
 use crate::gap::effect::{Advice, Effect, MODEL_ERROR, Parameter, Scale, Stage};
+use crate::gap::included::{How, Inclusion, TAKEN_OFF};
 use crate::gap::world::World;
 
 /// See the module.
@@ -35,6 +36,10 @@ impl Effect for BallastStiffening {
             what: "ballast stiffens under load",
             action: "Look for fouled or frozen ballast. Forces of trains of another load than these are less certain than stated.",
         }
+    }
+
+    fn inclusion(&self) -> Inclusion {
+        Inclusion { does: Some(TAKEN_OFF), how: How::Linearised("doubling_m", [1e-5, 10.0]) }
     }
 
     fn parameters(&self) -> &'static [Parameter] {

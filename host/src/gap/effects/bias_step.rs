@@ -14,6 +14,7 @@ use rayon::prelude::*;
 use crate::gap::data::{QuietEnd, RATE_HZ};
 use crate::gap::effect::{Advice, Stage};
 use crate::gap::forward::BAND_HZ;
+use crate::gap::included::{How, Inclusion};
 use crate::gap::latent::{Latent, LatentFit, Scene};
 use crate::signal::{
     between, dot, freed, irfft, mean, quantile, rfft, rfft_frequencies_hz, sum_in_order, taper,
@@ -66,6 +67,11 @@ impl Latent for BiasStep {
             what: "the sensor's baseline shifts after shocks",
             action: "Check how the sensor is fixed, and its amplifier; replace it if that does not help.",
         }
+    }
+
+    fn inclusion(&self) -> Inclusion {
+        let does = "Forces and displacements: `analyse --with-effects` takes the steps off the recordings.";
+        Inclusion { does: Some(does), how: How::Steadied }
     }
 
     fn explore(&self, scene: &Scene) -> Option<LatentFit> {

@@ -5,7 +5,10 @@
 //! and path take over most of what it does to the recordings. Range: a broken crystal or a wrong divider.
 
 use crate::gap::effect::{Advice, Effect, Parameter, Scale, Stage, Witness};
+use crate::gap::included::Inclusion;
 use crate::gap::world::World;
+use crate::recording::Passage;
+use crate::signal::resample;
 
 /// See the module.
 pub struct ClockError;
@@ -38,6 +41,17 @@ impl Effect for ClockError {
         }
     }
 
+    fn inclusion(&self) -> Inclusion {
+        Inclusion::corrected(
+            "Forces: `--with-effects` takes the error out of the recordings.",
+            |site, effect| {
+                let relative = effect.value("relative", [-0.1, 0.1])?;
+                site.passages.iter_mut().for_each(|p| to_true_time(p, relative));
+                Ok(())
+            },
+        )
+    }
+
     fn parameters(&self) -> &'static [Parameter] {
         &PARAMETERS
     }
@@ -53,4 +67,11 @@ impl Effect for ClockError {
     fn apply(&self, world: &mut World, values: &[f64]) {
         world.sensor.clock_error = values[0];
     }
+}
+
+/// Samples were taken (1 + relative) times as fast as stated; the same recording at the stated rate.
+fn to_true_time(passage: &mut Passage, relative: f64) {
+    let samples: Vec<f64> = passage.acceleration_m_s2.iter().map(|a| f64::from(*a)).collect();
+    let len = (samples.len() as f64 / (1.0 + relative)).round().max(1.0) as usize;
+    passage.acceleration_m_s2 = resample(&samples, len).iter().map(|a| *a as f32).collect();
 }

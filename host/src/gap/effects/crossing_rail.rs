@@ -1,6 +1,7 @@
 //! Bending stiffness and mass of the crossing rail: factors on the nominal three times plain rail (paper, Table 1).
 
 use crate::gap::effect::{Advice, Effect, MODEL_ERROR, Parameter, Scale, Stage};
+use crate::gap::included::{FACTOR, Inclusion};
 use crate::gap::world::World;
 
 /// See the module.
@@ -46,6 +47,15 @@ impl Effect for CrossingRail {
             what: "the crossing rail is stiffer, softer or heavier than drawn",
             action: "Compare the crossing with its drawing; where it is softer, look for cracks and loose fastenings.",
         }
+    }
+
+    fn inclusion(&self) -> Inclusion {
+        Inclusion::corrected("Forces: `--with-effects` uses the rail found.", |site, effect| {
+            let rail = &mut site.crossing.rail;
+            rail.crossing_part_stiffness_factor *= effect.value("stiffness_factor", FACTOR)?;
+            rail.crossing_part_mass_factor *= effect.value("mass_factor", FACTOR)?;
+            Ok(())
+        })
     }
 
     fn parameters(&self) -> &'static [Parameter] {

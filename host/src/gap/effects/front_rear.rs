@@ -4,6 +4,7 @@
 //! (section 4.2).
 
 use crate::gap::effect::{Advice, Effect, MODEL_ERROR, Parameter, Scale, Stage};
+use crate::gap::included::Inclusion;
 use crate::gap::world::World;
 
 /// See the module.
@@ -48,6 +49,11 @@ impl Effect for FrontRear {
             what: "front and rear wheelsets of a bogie load the crossing differently",
             action: "Nothing to repair on the panel. Ask the operator whether trains brake there, and about the vehicles.",
         }
+    }
+
+    /// Every wheel's force and both rails' profiles are estimated anyway.
+    fn inclusion(&self) -> Inclusion {
+        Inclusion::NEEDLESS
     }
 
     fn parameters(&self) -> &'static [Parameter] {

@@ -4,7 +4,8 @@
 //! with it. Data sheets give up to 0.04 %/K; a failing bridge or a loose mount reaches ten times that.
 
 use crate::gap::effect::{Advice, Effect, MODEL_ERROR, Parameter, Scale, Stage, Witness};
-use crate::gap::world::World;
+use crate::gap::included::Inclusion;
+use crate::gap::world::{REFERENCE_C, World};
 
 /// See the module.
 pub struct GainTemperature;
@@ -48,6 +49,20 @@ impl Effect for GainTemperature {
             what: "the sensor's sensitivity follows its temperature",
             action: "Calibrate or replace the sensor.",
         }
+    }
+
+    fn inclusion(&self) -> Inclusion {
+        Inclusion::corrected(
+            "Until then `--with-effects` takes the change out of the recordings.",
+            |site, effect| {
+                let per_kelvin = effect.value("per_kelvin", [-0.02, 0.02])?;
+                for p in &mut site.passages {
+                    let gain = 1.0 + per_kelvin * (p.temperature_c - REFERENCE_C);
+                    p.acceleration_m_s2.iter_mut().for_each(|a| *a = (f64::from(*a) / gain) as f32);
+                }
+                Ok(())
+            },
+        )
     }
 
     fn parameters(&self) -> &'static [Parameter] {

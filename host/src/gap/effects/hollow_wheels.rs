@@ -18,6 +18,7 @@ use self::groups::grouped;
 use self::own::{Own, own};
 use self::simulated::simulated;
 use crate::gap::effect::{Advice, Stage};
+use crate::gap::included::Inclusion;
 use crate::gap::latent::{Latent, LatentFit, Scene, borne_out};
 
 /// See the module.
@@ -56,6 +57,11 @@ impl Latent for HollowWheels {
             what: "some wheels are worn hollow",
             action: "Nothing to repair on the panel. Tell the vehicles' owner: have the treads of these trains measured.",
         }
+    }
+
+    /// Every wheel's force is estimated anyway.
+    fn inclusion(&self) -> Inclusion {
+        Inclusion::NEEDLESS
     }
 
     fn alike(&self) -> bool {

@@ -1,7 +1,11 @@
 //! Static load shared unequally between the two rails: cant, curve, skew load. Positive loads the crossing side.
 
 use crate::gap::effect::{Advice, Effect, MODEL_ERROR, Parameter, Scale, Stage};
+use crate::gap::included::Inclusion;
 use crate::gap::world::World;
+
+/// A share of the load moved to the other rail; wheels stay on both.
+const TRANSFER: [f64; 2] = [-0.9, 0.9];
 
 /// See the module.
 pub struct LoadTransfer;
@@ -32,6 +36,13 @@ impl Effect for LoadTransfer {
             what: "the two rails carry unequal loads",
             action: "Measure cant and twist at the crossing; lift and tamp where they are out of tolerance.",
         }
+    }
+
+    fn inclusion(&self) -> Inclusion {
+        Inclusion::corrected("Forces: `--with-effects` uses the transfer found.", |site, effect| {
+            site.crossing.track.load_transfer = effect.value("fraction", TRANSFER)?;
+            Ok(())
+        })
     }
 
     fn parameters(&self) -> &'static [Parameter] {

@@ -3,7 +3,10 @@
 //! Glued mounts resonate above 1 kHz, which is no fault; brackets and magnets at some hundred hertz reach into the band.
 
 use crate::gap::effect::{Advice, Effect, Hints, MODEL_ERROR, Parameter, Scale, Stage};
+use crate::gap::included::{How, Inclusion};
 use crate::gap::world::World;
+use crate::recording::Passage;
+use crate::signal::filtered;
 
 /// See the module.
 pub struct MountResonance;
@@ -50,6 +53,17 @@ impl Effect for MountResonance {
         }
     }
 
+    /// What it does above its resonance is lost.
+    fn inclusion(&self) -> Inclusion {
+        let how = How::Corrected(|site, effect| {
+            let frequency_hz = effect.value("frequency_hz", [20.0, 5000.0])?;
+            let damping = effect.value("damping_ratio", [1e-3, 2.0])?;
+            site.passages.iter_mut().for_each(|p| without_mount(p, frequency_hz, damping));
+            Ok(())
+        });
+        Inclusion { does: None, how }
+    }
+
     fn parameters(&self) -> &'static [Parameter] {
         &PARAMETERS
     }
@@ -67,4 +81,16 @@ impl Effect for MountResonance {
     fn apply(&self, world: &mut World, values: &[f64]) {
         world.sensor.mount = Some((values[0], values[1]));
     }
+}
+
+/// Takes the amplification by the mounting back; its inverse is bounded, so nothing blows up.
+fn without_mount(passage: &mut Passage, frequency_hz: f64, damping: f64) {
+    let samples: Vec<f64> = passage.acceleration_m_s2.iter().map(|a| f64::from(*a)).collect();
+    let restored = filtered(&samples, passage.sample_rate_hz, |f| {
+        // Far above the resonance the mounting isolates; what is there is left as it is.
+        let s = (f / frequency_hz).min(3.0);
+        let damped = faer::c64::new(0.0, 2.0 * damping * s);
+        (damped + (1.0 - s * s)) / (damped + 1.0)
+    });
+    passage.acceleration_m_s2 = restored.iter().map(|a| *a as f32).collect();
 }

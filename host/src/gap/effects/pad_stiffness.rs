@@ -4,6 +4,7 @@
 //! when hot.
 
 use crate::gap::effect::{Advice, Effect, Parameter, Scale, Stage};
+use crate::gap::included::{FACTOR, Inclusion};
 use crate::gap::world::World;
 
 /// See the module.
@@ -36,6 +37,13 @@ impl Effect for PadStiffness {
             what: "rail pads are stiffer or softer than drawn",
             action: "Compare the pads with the drawing; replace worn or hardened ones.",
         }
+    }
+
+    fn inclusion(&self) -> Inclusion {
+        Inclusion::corrected("Forces: `--with-effects` uses the stiffness found.", |site, effect| {
+            site.crossing.pad.stiffness_n_m *= effect.value("factor", FACTOR)?;
+            Ok(())
+        })
     }
 
     fn parameters(&self) -> &'static [Parameter] {

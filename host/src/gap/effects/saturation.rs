@@ -4,7 +4,9 @@
 //! ([`flat_top_m_s2`](crate::reconstruct::flat_top_m_s2)). Only where few clip does the search find it, from the largest value on.
 
 use crate::gap::effect::{Advice, Effect, Hints, MODEL_ERROR, Parameter, Scale, Stage};
+use crate::gap::included::Inclusion;
 use crate::gap::world::World;
+use crate::recording::{Passage, Site};
 
 /// See the module.
 pub struct Saturation;
@@ -37,6 +39,16 @@ impl Effect for Saturation {
         }
     }
 
+    fn inclusion(&self) -> Inclusion {
+        Inclusion::corrected(
+            "`--with-effects` leaves clipped recordings out while enough others stay.",
+            |site, effect| {
+                leave_out_clipped(site, effect.value("range_m_s2", [1.0, 1e4])?);
+                Ok(())
+            },
+        )
+    }
+
     fn parameters(&self) -> &'static [Parameter] {
         &PARAMETERS
     }
@@ -59,6 +71,24 @@ impl Effect for Saturation {
 const OVERSHOOT: f64 = 1.1;
 /// How far beyond that interference and steps of the baseline are allowed for, times what is seen of them.
 const ON_TOP: f64 = 2.0;
+
+/// Passages that must stay for an identification.
+const LEAST_PASSAGES: usize = 3;
+/// Clipped samples that a recording may have: the corner of one wheel.
+const FEW_SAMPLES: usize = 4;
+
+/// Clipping cannot be undone: clipped recordings are left out while enough others stay, and marked otherwise.
+fn leave_out_clipped(site: &mut Site, range_m_s2: f64) {
+    let clipped = |p: &Passage| {
+        let at_end = |a: &&f32| f64::from(a.abs()) >= 0.97 * range_m_s2;
+        p.acceleration_m_s2.iter().filter(at_end).count() > FEW_SAMPLES
+    };
+    let sound = site.passages.iter().filter(|p| !clipped(p)).count();
+    site.crossing.sensor.range_m_s2 = site.crossing.sensor.range_m_s2.min(range_m_s2);
+    if sound >= LEAST_PASSAGES {
+        site.passages.retain(|p| !clipped(p));
+    }
+}
 
 #[cfg(test)]
 mod tests {

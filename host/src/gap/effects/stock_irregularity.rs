@@ -2,6 +2,7 @@
 //! it shows through the sleeper and the rolling of the wheelset.
 
 use crate::gap::effect::{Advice, Effect, Hints, MODEL_ERROR, Parameter, Scale, Stage};
+use crate::gap::included::Inclusion;
 use crate::gap::world::World;
 
 /// See the module.
@@ -58,6 +59,11 @@ impl Effect for StockIrregularity {
             what: "the stock rail has a dip opposite the crossing",
             action: "Inspect the stock rail there for a bad weld or a squat; grind or weld it.",
         }
+    }
+
+    /// Every wheel's force and both rails' profiles are estimated anyway.
+    fn inclusion(&self) -> Inclusion {
+        Inclusion::NEEDLESS
     }
 
     fn parameters(&self) -> &'static [Parameter] {

@@ -3,6 +3,7 @@
 //! A factor on the stiffness on the side of negative and of positive x; 1 is the outer stiffness p1.
 
 use crate::gap::effect::{Advice, Effect, MODEL_ERROR, Parameter, Scale, Stage};
+use crate::gap::included::{FACTOR, Inclusion};
 use crate::gap::world::World;
 
 /// See the module.
@@ -47,6 +48,15 @@ impl Effect for SupportLoss {
             what: "sleepers beside the crossing have lost support",
             action: "Inspect sleepers 3 to 6 on the side with the low factor, and tamp them.",
         }
+    }
+
+    fn inclusion(&self) -> Inclusion {
+        Inclusion::corrected("Forces: `--with-effects` uses the supports found.", |site, effect| {
+            let sides =
+                [effect.value("factor_negative_x", FACTOR)?, effect.value("factor_positive_x", FACTOR)?];
+            site.crossing.ballast.support_factor = factors(sides);
+            Ok(())
+        })
     }
 
     fn parameters(&self) -> &'static [Parameter] {

@@ -5,10 +5,12 @@
 
 use rayon::prelude::*;
 
-use crate::gap::data::{Observed, QuietEnd, RATE_HZ};
+use crate::gap::data::{Observed, QUIET_S, QuietEnd, RATE_HZ};
 use crate::gap::effect::{Advice, Stage};
 use crate::gap::forward::BAND_HZ;
+use crate::gap::included::Inclusion;
 use crate::gap::latent::{Latent, LatentFit, Scene};
+use crate::recording::Passage;
 use crate::signal::{centre, dot};
 
 /// See the module.
@@ -203,6 +205,14 @@ impl Latent for Tonal {
         }
     }
 
+    fn inclusion(&self) -> Inclusion {
+        Inclusion::corrected("Until then `--with-effects` takes it out of the recordings.", |site, effect| {
+            let frequency_hz = effect.value("frequency_hz", [1.0, 2000.0])?;
+            site.passages.iter_mut().for_each(|p| without_tone(p, frequency_hz));
+            Ok(())
+        })
+    }
+
     fn explore(&self, scene: &Scene) -> Option<LatentFit> {
         let quiet: Vec<Quiet> = scene.observed.par_iter().map(Quiet::new).collect();
         let both =
@@ -249,6 +259,26 @@ impl Latent for Tonal {
             windows: scene.cut(&traces),
             traces,
         })
+    }
+}
+
+/// Takes the sinusoid off that fits the train-free ends best.
+fn without_tone(passage: &mut Passage, frequency_hz: f64) {
+    let (n, rate) = (passage.acceleration_m_s2.len(), passage.sample_rate_hz);
+    let quiet = ((QUIET_S * rate) as usize).min(n / 2);
+    let omega = std::f64::consts::TAU * frequency_hz / rate;
+    let ends = (0..quiet).chain(n - quiet..n);
+    let mean = ends.clone().map(|i| f64::from(passage.acceleration_m_s2[i])).sum::<f64>()
+        / (2 * quiet).max(1) as f64;
+    let (mut c, mut s) = (0.0, 0.0);
+    for i in ends {
+        let (sin, cos) = (omega * i as f64).sin_cos();
+        let value = f64::from(passage.acceleration_m_s2[i]) - mean;
+        (c, s) = (c + value * cos / quiet as f64, s + value * sin / quiet as f64);
+    }
+    for (i, a) in passage.acceleration_m_s2.iter_mut().enumerate() {
+        let (sin, cos) = (omega * i as f64).sin_cos();
+        *a -= (c * cos + s * sin) as f32;
     }
 }
 

@@ -2,6 +2,7 @@
 //! twice a trailing one).
 
 use crate::gap::effect::{Advice, Effect, MODEL_ERROR, Parameter, Scale, Stage};
+use crate::gap::included::{FACTOR, Inclusion};
 use crate::gap::world::World;
 
 /// See the module.
@@ -33,6 +34,15 @@ impl Effect for UnsprungMass {
             what: "wheelsets are heavier or lighter than described",
             action: "Nothing to repair. Compare wheelset_mass_kg with the vehicle's data: driven wheelsets weigh up to twice as much.",
         }
+    }
+
+    fn inclusion(&self) -> Inclusion {
+        Inclusion::corrected("Forces: `--with-effects` uses the mass found.", |site, effect| {
+            let (factor, vehicle) = (effect.value("factor", FACTOR)?, &mut site.crossing.vehicle);
+            vehicle.wheelset_mass_kg *= factor;
+            vehicle.wheelset_roll_inertia_kg_m2 *= factor;
+            Ok(())
+        })
     }
 
     fn parameters(&self) -> &'static [Parameter] {

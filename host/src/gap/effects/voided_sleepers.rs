@@ -4,6 +4,7 @@
 //! section 6.2 (6 mm deflection of Vad 131); a quadratic fall-off to the neighbours as for the stiffness (fig. 7).
 
 use crate::gap::effect::{Advice, Effect, Hints, Parameter, Scale, Stage};
+use crate::gap::included::{How, Inclusion, TAKEN_OFF};
 use crate::gap::world::World;
 
 /// See the module.
@@ -49,6 +50,10 @@ impl Effect for VoidedSleepers {
             what: "sleepers hang above their ballast",
             action: "Tamp or stone-blow the crossing sleeper and its neighbours, and measure again when trains have settled them.",
         }
+    }
+
+    fn inclusion(&self) -> Inclusion {
+        Inclusion { does: Some(TAKEN_OFF), how: How::Linearised("gap_m", [1e-5, 0.1]) }
     }
 
     fn parameters(&self) -> &'static [Parameter] {
@@ -99,6 +104,10 @@ impl Effect for VoidOverFive {
 
     fn advice(&self) -> Advice {
         VoidedSleepers.advice()
+    }
+
+    fn inclusion(&self) -> Inclusion {
+        VoidedSleepers.inclusion()
     }
 
     fn parameters(&self) -> &'static [Parameter] {

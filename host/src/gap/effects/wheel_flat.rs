@@ -13,6 +13,7 @@ use std::sync::Arc;
 use self::bursts::{Bursts, LENGTHS_M, factors_of_lengths, length_of};
 use super::around_wheels::{Found, sizeable};
 use crate::gap::effect::{Advice, Stage};
+use crate::gap::included::Inclusion;
 use crate::gap::latent::{Latent, LatentFit, Scene};
 
 /// See the module.
@@ -43,6 +44,11 @@ impl Latent for WheelFlat {
             what: "some wheels have flats",
             action: "Nothing to repair on the panel. Tell the vehicles' owner: have these wheels inspected and turned.",
         }
+    }
+
+    /// Every wheel's force is estimated anyway.
+    fn inclusion(&self) -> Inclusion {
+        Inclusion::NEEDLESS
     }
 
     fn explore(&self, scene: &Scene) -> Option<LatentFit> {

@@ -13,6 +13,7 @@ use rayon::prelude::*;
 use super::around_wheels::{Found, sizeable};
 use crate::gap::effect::{Advice, Stage};
 use crate::gap::fit::whitened;
+use crate::gap::included::Inclusion;
 use crate::gap::latent::{Latent, LatentFit, Scene, best_share, times};
 use crate::signal::dot;
 
@@ -70,6 +71,11 @@ impl Latent for WheelOutOfRoundness {
             what: "wheels are out of round",
             action: "Nothing to repair on the panel. Tell the vehicles' owner: have these wheels measured and turned.",
         }
+    }
+
+    /// Every wheel's force is estimated anyway.
+    fn inclusion(&self) -> Inclusion {
+        Inclusion::NEEDLESS
     }
 
     fn explore(&self, scene: &Scene) -> Option<LatentFit> {

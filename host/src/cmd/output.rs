@@ -59,15 +59,12 @@ impl Effects {
 
 /// Says of effects between which nobody has chosen that there is a choice.
 fn warn_of_others(diagnosed: &[Diagnosed], take: &[String]) {
-    for d in diagnosed.iter().filter(|d| !d.alternatives.is_empty()) {
-        let mut names = d.alternatives.iter().map(|a| &a.name);
-        if take.contains(&d.effect.name) || names.clone().any(|n| take.contains(n)) {
-            continue;
-        }
-        let other = names.by_ref().map(|n| format!("--take {n}")).collect::<Vec<_>>().join(", ");
+    for d in diagnosed.iter().filter(|d| !d.alternatives.is_empty() && d.chosen(take).is_none()) {
+        let others: Vec<String> = d.alternatives.iter().map(|a| format!("--take {}", a.name)).collect();
         warn(&format!(
-            "{} is included; another effect would explain the recordings as well ({other})",
-            d.effect.name
+            "{} is included; another effect would explain the recordings as well ({})",
+            d.effect.name,
+            others.join(", ")
         ));
     }
 }

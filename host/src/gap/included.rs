@@ -90,6 +90,18 @@ pub struct Diagnosed {
     pub alternatives: Vec<Included>,
 }
 
+impl Diagnosed {
+    /// The effect and its alternatives.
+    fn offered(&self) -> impl Iterator<Item = &Included> {
+        std::iter::once(&self.effect).chain(&self.alternatives)
+    }
+
+    /// The one of them that is in `take`.
+    pub fn chosen(&self, take: &[String]) -> Option<&Included> {
+        self.offered().find(|o| take.contains(&o.name))
+    }
+}
+
 /// Why there are no effects to include.
 #[derive(Debug, thiserror::Error)]
 pub enum IncludedError {
@@ -139,15 +151,13 @@ fn included(effect: &Value) -> Result<Included, &'static str> {
 
 /// Of every effect itself, or the one of its alternatives that is in `take`.
 pub fn taken(diagnosed: &[Diagnosed], take: &[String]) -> Result<Vec<Included>, IncludedError> {
-    let all = |d: &Diagnosed| [std::slice::from_ref(&d.effect), d.alternatives.as_slice()].concat();
-    if let Some(effect) = take.iter().find(|t| !diagnosed.iter().flat_map(all).any(|i| i.name == **t)) {
-        let names = |d| all(d).into_iter().map(|i| i.name).collect::<Vec<_>>().join(" or ");
+    let offered = || diagnosed.iter().flat_map(Diagnosed::offered);
+    if let Some(effect) = take.iter().find(|t| !offered().any(|o| o.name == **t)) {
+        let names = |d: &Diagnosed| d.offered().map(|o| o.name.as_str()).collect::<Vec<_>>().join(" or ");
         let offered = diagnosed.iter().map(names).collect::<Vec<_>>().join(", ");
         return Err(IncludedError::NotOffered { effect: effect.clone(), offered });
     }
-    let of =
-        |d: &Diagnosed| d.alternatives.iter().find(|a| take.contains(&a.name)).unwrap_or(&d.effect).clone();
-    Ok(diagnosed.iter().map(of).collect())
+    Ok(diagnosed.iter().map(|d| d.chosen(take).unwrap_or(&d.effect).clone()).collect())
 }
 
 #[cfg(test)]

@@ -273,6 +273,15 @@ fn property_poor_hammer_hits_are_refused_before_any_work() {
     let table = out.path().join("h.csv");
     fs::write(&table, "frequency_hz,real_m_n,imaginary_m_n,coherence\n50,1e-9\n").unwrap();
     diagnose(&[&table], &["h.csv", "line 2", "coherence"]);
+    // Metres per kilonewton; an analyser that has nothing to say.
+    for (value, words) in [
+        ("1e-5", ["times that of the track", "must be in N"]),
+        ("0", ["hammer's hits", "zero or no number on 100 %"]),
+    ] {
+        let rows: String = (20..=250).map(|f| format!("{f},{value},0,0.98\n")).collect();
+        fs::write(&table, format!("frequency_hz,real_m_n,imaginary_m_n,coherence\n{rows}")).unwrap();
+        diagnose(&[&table], &words);
+    }
     let universal = out.path().join("h.uff");
     fs::write(&universal, "    -1\n    58\n").unwrap();
     diagnose(&[&universal], &["h.uff", "end (-1)"]);

@@ -64,6 +64,15 @@ pub enum GapError {
         /// Least rate, Hz.
         least_hz: f64,
     },
+    /// A receptance that no track has.
+    #[error(
+        "the hammer's receptance is {ratio:.3} times that of the track as described, as no track is: force must be in N, acceleration in \
+         m/s² and the receptance in m/N"
+    )]
+    HammerScale {
+        /// Measured over modelled, median over the frequencies.
+        ratio: f64,
+    },
     /// Hammer hits beyond the rails.
     #[error("hammer hits at x = {x_m} m; the rails reach from {} to {} m", ends_m[0], ends_m[1])]
     HammerOutside {

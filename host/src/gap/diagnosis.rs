@@ -223,8 +223,8 @@ fn diagnose_trains(
 ) -> Result<Diagnosis, GapError> {
     let clock = Instant::now();
     if let Some(hammer) = &options.hammer {
-        // Hits off the track are refused before any work.
-        hammer.deviation(&nominal_world(site, BallastParameters::NOMINAL)?)?;
+        // Hits off the track, or in other units, are refused before any work.
+        hammer.check(&nominal_world(site, BallastParameters::NOMINAL)?)?;
     }
     let split = split(site);
     let search = thinned(&split.train, SEARCH_PASSAGES);

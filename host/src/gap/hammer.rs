@@ -25,6 +25,10 @@ const FREEDOM: f64 = 4.0;
 const AGREES: f64 = 0.15;
 const DIFFERS: f64 = 0.3;
 
+/// Factor between the measured receptance and that of the track as described, median over the lines, beyond which units are wrong: pads
+/// of a twentieth of their stiffness give 0.084. So g for m/s² (0.10) pass for a track with soft pads.
+const UNLIKE_ANY_TRACK: f64 = 30.0;
+
 /// A measured receptance, fit for comparison.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Hammer {
@@ -73,6 +77,18 @@ impl Hammer {
     /// Median over the lines of the model's departure, relative to the measured receptance.
     pub fn deviation(&self, world: &World) -> Result<f64, GapError> {
         Ok(crate::signal::quantile(&self.errors(world)?, 0.5))
+    }
+
+    /// Refuses what no track can have, seen from the track as described: then it was not measured in SI units.
+    pub fn check(&self, described: &World) -> Result<(), GapError> {
+        let modelled = modelled(described, &self.receptance.frequency_hz, self.x_m)?;
+        let ratios: Vec<f64> =
+            self.receptance.receptance_m_n.iter().zip(&modelled).map(|(r, m)| r.norm() / m.norm()).collect();
+        let ratio = crate::signal::quantile(&ratios, 0.5);
+        match (1.0 / UNLIKE_ANY_TRACK..=UNLIKE_ANY_TRACK).contains(&ratio) {
+            true => Ok(()),
+            false => Err(GapError::HammerScale { ratio }),
+        }
     }
 
     /// Departures, relative to the measured receptance.
@@ -217,5 +233,35 @@ mod tests {
         let world = world();
         let error = modelled(&world, &[50.0], 1e3).unwrap_err();
         assert!(matches!(error, GapError::HammerOutside { x_m, .. } if x_m == 1e3), "{error}");
+    }
+
+    /// The track as described beside those with the softest and stiffest pads and ballast that there are: from 0.084 to 1.3 times.
+    #[test]
+    fn property_every_track_is_taken_and_kilonewtons_are_not() {
+        let described = world();
+        let lines: Vec<f64> = (20..=250).step_by(10).map(f64::from).collect();
+        let of = |pads: f64, p: f64| {
+            let mut world = world();
+            world.crossing.pad.stiffness_n_m *= pads;
+            world.ballast = BallastParameters { p1_n_m2: p, p2_n_m2: p, p3: 0.4 };
+            let receptance_m_n = modelled(&world, &lines, X_M).unwrap();
+            let coherence = vec![1.0; lines.len()];
+            let frequency_hz = lines.clone();
+            Hammer::new(&Receptance { frequency_hz, receptance_m_n, coherence, hits: 2 }, X_M).unwrap()
+        };
+        for pads in [0.05, 0.2, 1.0, 5.0, 20.0] {
+            for ballast in [3e6, 10e6, 30e6, 100e6] {
+                let checked = of(pads, ballast).check(&described);
+                assert!(checked.is_ok(), "pads {pads}, ballast {ballast}: {checked:?}");
+            }
+        }
+        let mut hits: Vec<Hit> = (0..2).map(|k| hit(&described, k)).collect();
+        hits.iter_mut().flat_map(|h| &mut h.force_n).for_each(|f| *f *= 1e-3);
+        let in_kilonewtons = Hammer::new(&Receptance::of_hits(&hits, 260.0).unwrap(), X_M).unwrap();
+        let error = in_kilonewtons.check(&described).unwrap_err();
+        assert!(
+            matches!(error, GapError::HammerScale { ratio } if (ratio / 1e3 - 1.0).abs() < 0.1),
+            "{error}"
+        );
     }
 }

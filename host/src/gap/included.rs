@@ -162,6 +162,8 @@ pub fn taken(diagnosed: &[Diagnosed], take: &[String]) -> Result<Vec<Included>, 
 
 #[cfg(test)]
 mod tests {
+    use proptest::prelude::*;
+
     use super::*;
 
     fn of_two() -> Vec<Diagnosed> {
@@ -191,5 +193,33 @@ mod tests {
         let error = names(&["load-transfer", "voids"]).unwrap_err().to_string();
         assert_eq!(error, "the diagnosis does not offer voids: it names axle-load or load-transfer, tonal");
         assert!(taken(&[], &["voids".into()]).unwrap_err().to_string().ends_with("names no effect"));
+    }
+
+    /// JSON of any shape, its keys those of a diagnosis.
+    fn any_json() -> impl Strategy<Value = Value> {
+        let leaf = prop_oneof![
+            Just(Value::Null),
+            any::<bool>().prop_map(Value::from),
+            any::<f64>().prop_map(Value::from),
+            "[a-z-]{0,8}".prop_map(Value::from),
+        ];
+        let key = "effects|name|parameters|value|alternatives|factor";
+        leaf.prop_recursive(5, 60, 4, move |inner| {
+            prop_oneof![
+                proptest::collection::vec(inner.clone(), 0..4).prop_map(Value::from),
+                proptest::collection::btree_map(key, inner, 0..4)
+                    .prop_map(|map| Value::Object(map.into_iter().collect())),
+            ]
+        })
+    }
+
+    proptest! {
+        #[test]
+        fn property_any_json_is_read_or_refused(json in any_json()) {
+            let whole = serde_json::json!({ "effects": [json] });
+            for found in [diagnosed(&json), diagnosed(&whole)].into_iter().flatten() {
+                prop_assert!(taken(&found, &[]).is_ok_and(|all| all.len() == found.len()));
+            }
+        }
     }
 }

@@ -119,6 +119,19 @@ pub enum ReceptanceError {
         /// Weakest line over the strongest, dB.
         decibel: f64,
     },
+    /// Nothing was measured there.
+    #[error(
+        "the receptance is zero or no number on {share:.0} % of {low_hz} … {high_hz} Hz: look at the exported file, force in N and \
+         acceleration in m/s²"
+    )]
+    Dead {
+        /// Asked band, Hz.
+        low_hz: f64,
+        /// Asked band, Hz.
+        high_hz: f64,
+        /// Part of the lines, %.
+        share: f64,
+    },
     /// The hits do not agree.
     #[error(
         "coherence is below {LEAST_COHERENCE} on {share:.0} % of {low_hz} … {high_hz} Hz (lowest {lowest:.2}); hit again, at one point, without double hits"
@@ -284,9 +297,13 @@ impl Receptance {
             let omega = std::f64::consts::TAU * f;
             s.0 / s.1 * (-1.0 / (omega * omega))
         };
+        let coherence = |s: &(c64, f64, f64)| {
+            // Rounding may take it above 1.
+            (s.0.norm_sqr() / (s.1 * s.2).max(f64::MIN_POSITIVE)).clamp(0.0, 1.0)
+        };
         Ok(Self {
             receptance_m_n: lines.iter().zip(&sums).map(receptance).collect(),
-            coherence: sums.iter().map(|s| s.0.norm_sqr() / (s.1 * s.2).max(f64::MIN_POSITIVE)).collect(),
+            coherence: sums.iter().map(coherence).collect(),
             frequency_hz: lines,
             hits: hits.len(),
         })
@@ -297,18 +314,33 @@ impl Receptance {
         let inside: Vec<usize> = (0..self.frequency_hz.len())
             .filter(|k| self.frequency_hz[*k] >= low_hz && self.frequency_hz[*k] <= high_hz)
             .collect();
-        let poor = inside.iter().filter(|k| self.coherence[**k] < LEAST_COHERENCE).count();
-        let share = poor as f64 / inside.len().max(1) as f64;
-        if inside.is_empty() || share > INCOHERENT_PART {
-            let lowest = inside.iter().map(|k| self.coherence[*k]).fold(1.0, f64::min);
-            return Err(ReceptanceError::Incoherent { low_hz, high_hz, share: 100.0 * share, lowest });
+        let share = |lines: usize| lines as f64 / inside.len().max(1) as f64;
+        let live: Vec<usize> = inside.iter().copied().filter(|k| self.is_live(*k)).collect();
+        let dead = share(inside.len() - live.len());
+        if dead > INCOHERENT_PART {
+            return Err(ReceptanceError::Dead { low_hz, high_hz, share: 100.0 * dead });
         }
-        Ok(self.lines(|f| f >= low_hz && f <= high_hz))
+        let poor = share(inside.iter().filter(|k| self.coherence[**k] < LEAST_COHERENCE).count());
+        if inside.is_empty() || poor > INCOHERENT_PART {
+            let lowest = inside.iter().map(|k| self.coherence[*k]).fold(1.0, f64::min);
+            return Err(ReceptanceError::Incoherent { low_hz, high_hz, share: 100.0 * poor, lowest });
+        }
+        Ok(self.picked(&live))
+    }
+
+    /// Whether something was measured at a line: analysers write zeros where they have nothing.
+    fn is_live(&self, line: usize) -> bool {
+        let size = self.receptance_m_n[line].norm();
+        size > 0.0 && size.is_finite() && self.coherence[line].is_finite()
     }
 
     /// The lines at frequencies to `keep`, Hz.
     pub(super) fn lines(&self, mut keep: impl FnMut(f64) -> bool) -> Self {
         let kept: Vec<usize> = (0..self.frequency_hz.len()).filter(|k| keep(self.frequency_hz[*k])).collect();
+        self.picked(&kept)
+    }
+
+    fn picked(&self, kept: &[usize]) -> Self {
         Self {
             frequency_hz: kept.iter().map(|k| self.frequency_hz[*k]).collect(),
             receptance_m_n: kept.iter().map(|k| self.receptance_m_n[*k]).collect(),
@@ -332,6 +364,8 @@ impl Receptance {
 
 #[cfg(test)]
 mod tests {
+    use proptest::prelude::*;
+
     use super::*;
 
     /// A mass on a spring and damper, hit by half-sines of different strength.
@@ -411,5 +445,57 @@ mod tests {
         assert!(found.trusted([690.0, 702.0]).is_ok());
         let low = found.trusted([1100.0, 1400.0]);
         assert!(matches!(low, Err(ReceptanceError::Incoherent { .. })), "{low:?}");
+    }
+
+    /// Lines at 20 to 250 Hz with a coherence of 0.98, of which `dead` say nothing.
+    fn with_dead_lines(dead: usize) -> Receptance {
+        let lines = (20..=250).map(|f| {
+            let live = if f < 20 + dead as i32 { 0.0 } else { 1e-8 };
+            (f64::from(f), c64::new(live, 0.0), 0.98)
+        });
+        Receptance::estimated(lines)
+    }
+
+    /// A line of zeros is infinitely far from every model, which then all fit alike.
+    #[test]
+    fn regress_lines_of_zeros_are_no_measurement() {
+        let found = with_dead_lines(10).trusted([20.0, 250.0]).unwrap();
+        assert_eq!(found.frequency_hz.len(), 221);
+        assert!(found.receptance_m_n.iter().all(|r| r.norm() > 0.0));
+        let error = with_dead_lines(100).trusted([20.0, 250.0]).unwrap_err();
+        assert!(
+            matches!(error, ReceptanceError::Dead { share, .. } if (share - 43.3).abs() < 0.1),
+            "{error}"
+        );
+    }
+
+    proptest! {
+        /// Whatever the size of what was recorded.
+        #[test]
+        fn property_what_is_trusted_is_finite(force in -320.0_f64..308.0, motion in -320.0_f64..308.0) {
+            let hits: Vec<Hit> = (0..2)
+                .map(|i| {
+                    let hit = oscillator(1.0, 0.0, i);
+                    let scaled = |values: &[f64], by: f64| values.iter().map(|v| v * 10f64.powf(by)).collect();
+                    Hit {
+                        force_n: scaled(&hit.force_n, force),
+                        acceleration_m_s2: scaled(&hit.acceleration_m_s2, motion),
+                        ..hit
+                    }
+                })
+                .collect();
+            if let Ok(found) = Receptance::of_hits(&hits, 250.0).and_then(|r| r.trusted([20.0, 250.0])) {
+                prop_assert!(found.receptance_m_n.iter().all(|r| r.norm() > 0.0 && r.norm().is_finite()));
+                prop_assert!(found.coherence.iter().all(|c| (0.0..=1.0).contains(c)));
+            }
+        }
+
+        #[test]
+        fn property_arbitrary_tables_never_panic(cells in proptest::collection::vec("[-+.0-9eEnaif]{0,8}", 0..400)) {
+            let rows: String = cells.chunks(3).map(|row| row.join(",") + "\n").collect();
+            let _ = hit("hit.csv", &format!("{HIT}\n{rows}"));
+            let _ = table::<4>("h.csv", &format!("{ESTIMATE}\n{rows}"), ESTIMATE);
+            let _ = uff::read("h.uff", &rows);
+        }
     }
 }

@@ -41,7 +41,7 @@ fn regress_load_transfer_is_named() {
     let found = assert_named("load-transfer");
     // Axle load gains as much: who knows the load takes the transfer, with the size that it has in its place.
     let first = &found.effects[0];
-    let sizes = first.alternatives.iter().find(|a| a.name == "load-transfer").map(|a| &a.parameters);
+    let sizes = first.alternative("load-transfer").map(|a| &a.parameters);
     let (name, _, low, high) = sizes.unwrap_or(&first.parameters)[0];
     assert!(name == "fraction" && low < LOAD_TRANSFER && LOAD_TRANSFER < high, "{low} … {high}");
 }

@@ -287,7 +287,7 @@ fn regress_load_transfer_and_axle_load_are_not_told_apart_by_a_fiftieth_of_their
     group.sort_unstable();
     assert_eq!(group, ["axle-load", "load-transfer"], "{:?} {:?}", found.verdict, found.remarks);
     let first = &found.effects[0];
-    let sizes = first.alternatives.iter().find(|a| a.name == "load-transfer").map(|a| &a.parameters);
+    let sizes = first.alternative("load-transfer").map(|a| &a.parameters);
     let (_, _, low, high) = sizes.unwrap_or(&first.parameters)[0];
     assert!(low < 0.3907 && 0.3907 < high, "{low} … {high}");
 }

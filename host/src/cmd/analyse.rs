@@ -5,8 +5,9 @@ use std::path::PathBuf;
 use anyhow::Context;
 use clap::Args;
 
-use super::output::{Effects, print, warn, warn_skipped};
+use super::output::{print, warn, warn_skipped};
 use super::progress::Bar;
+use super::with_effects::Effects;
 use crate::analysis::{Analysis, Condition};
 use crate::gap::corrected::Purpose;
 use crate::limits::{MODEL_GAP, OTHER_DIRECTION, UNLIKE_DESCRIPTION, UNLIKE_MODEL};

@@ -113,8 +113,7 @@ fn summary(d: &Diagnosis) -> String {
         }
         for same in &e.indistinguishable_from {
             text.push_str(&format!("              cannot be told from: {same}\n"));
-            let in_its_place = e.alternatives.iter().filter(|a| a.name == *same);
-            for size in in_its_place.flat_map(|a| &a.parameters) {
+            for size in e.alternative(same).into_iter().flat_map(|a| &a.parameters) {
                 text.push_str(&format!("                {}\n", in_words(size)));
             }
         }

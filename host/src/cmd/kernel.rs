@@ -6,8 +6,9 @@ use anyhow::Context;
 use clap::Args;
 use serde_json::json;
 
-use super::output::{Effects, print, print_json, warn, warn_skipped};
+use super::output::{print, print_json, warn, warn_skipped};
 use super::progress::Bar;
+use super::with_effects::Effects;
 use crate::gap::corrected::Purpose;
 use crate::pipeline::{self, AnalyseOptions};
 use crate::recording::files::write_atomic;

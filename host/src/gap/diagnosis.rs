@@ -73,6 +73,11 @@ impl Named {
     pub fn meaning(&self) -> &'static str {
         advice(self.name).map_or("", |a| a.what)
     }
+
+    /// One of the effects that the recordings cannot tell from it, in its place.
+    pub fn alternative(&self, name: &str) -> Option<&Alternative> {
+        self.alternatives.iter().find(|a| a.name == name)
+    }
 }
 
 /// An effect that was tried.
@@ -146,9 +151,9 @@ impl Diagnosis {
         }
         let own = [Some(advice(effect.name)?.action), inclusion(effect.name)?.does];
         let own = own.into_iter().flatten().collect::<Vec<_>>().join(" ");
-        let take = |same: &str| match effect.alternatives.iter().any(|a| a.name == same) {
-            true => format!(" Forces: `--with-effects` with `--take {same}`."),
-            false => String::new(),
+        let take = |same: &str| match effect.alternative(same) {
+            Some(_) => format!(" Forces: `--with-effects` with `--take {same}`."),
+            None => String::new(),
         };
         let or = |same: &&str| advice(same).map(|a| format!(" If it is {same}: {}{}", a.action, take(same)));
         Some(effect.indistinguishable_from.iter().filter_map(or).fold(own, |all, one| all + &one))

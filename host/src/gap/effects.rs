@@ -56,14 +56,17 @@ pub static LATENT: [&dyn Latent; 5] = [
 
 /// What an effect of the catalogue means, and what to do about it.
 pub fn advice(name: &str) -> Option<Advice> {
-    let of_common = || common(name).map(|e| e.advice());
-    LATENT.iter().find(|e| e.name() == name).map(|e| e.advice()).or_else(of_common)
+    of_either(name, |e| e.advice(), |e| e.advice())
 }
 
 /// What `--with-effects` does with an effect of the catalogue.
 pub fn inclusion(name: &str) -> Option<Inclusion> {
-    let of_common = || common(name).map(|e| e.inclusion());
-    LATENT.iter().find(|e| e.name() == name).map(|e| e.inclusion()).or_else(of_common)
+    of_either(name, |e| e.inclusion(), |e| e.inclusion())
+}
+
+fn of_either<T>(name: &str, of_latent: fn(&dyn Latent) -> T, of_common: fn(&dyn Effect) -> T) -> Option<T> {
+    let latent = LATENT.into_iter().find(|e| e.name() == name).map(of_latent);
+    latent.or_else(|| common(name).map(of_common))
 }
 
 /// An effect that all wheels and passages share, by its name in the contract.

@@ -129,7 +129,7 @@ fn effects(d: &Diagnosis) -> String {
         .iter()
         .map(|e| {
             let same = e.indistinguishable_from.iter().map(|same| {
-                let sizes = e.alternatives.iter().find(|a| a.name == *same).map(|a| in_words(&a.parameters));
+                let sizes = e.alternative(same).map(|a| in_words(&a.parameters));
                 sizes.map_or((*same).into(), |sizes| format!("{same} of {sizes}"))
             });
             vec![

@@ -33,11 +33,8 @@ impl Session<'_> {
             let others: Vec<&'static dyn Effect> =
                 self.common.iter().copied().filter(|e| same.contains(&e.name())).collect();
             for other in others {
-                let Some(alternative) = self.in_its_place(place, other, base)? else { continue };
-                for r in self.ranking.iter_mut().filter(|r| r.name == alternative.name) {
-                    r.gap_after = alternative.gap_after;
-                }
-                self.named[n].alternatives.push(alternative);
+                let alternative = self.in_its_place(place, other, base)?;
+                self.named[n].alternatives.extend(alternative);
             }
         }
         Ok(())

@@ -47,10 +47,6 @@ impl Session<'_> {
         let depends_on = where_::depends_on(&residuals, &self.named);
         let position_m = where_::positions(&predicted);
         self.ranking.sort_by(|a, b| b.probability.total_cmp(&a.probability));
-        for r in &mut self.ranking {
-            let named = self.named.iter().any(|n| n.name == r.name);
-            r.gap_after = if named { gap.after } else { gap.before };
-        }
         let denials = self.denials()?;
         if !self.misdescribed {
             self.remarks.extend(denials.iter().map(|d| d.remark.clone()));
@@ -65,6 +61,12 @@ impl Session<'_> {
         }
         if verdict != Verdict::NoGap {
             self.describe_alternatives(base_world)?;
+        }
+        for r in &mut self.ranking {
+            let named = self.named.iter().any(|n| n.name == r.name);
+            let other =
+                self.named.iter().find_map(|n| n.alternative(r.name)).map_or(gap.before, |a| a.gap_after);
+            r.gap_after = if named { gap.after } else { other };
         }
         let corrected = if self.named.is_empty() { base_world } else { &after_world };
         let track = self.ask_hammer(base_world, corrected)?;

@@ -98,15 +98,8 @@ impl Session<'_> {
     }
 
     fn known(&mut self, name: &'static str, stage: Stage, parameter: Stated) {
-        self.named.push(Named {
-            name,
-            stage,
-            probability: MOST_SURE,
-            parameters: vec![parameter],
-            indistinguishable_from: Vec::new(),
-            alternatives: Vec::new(),
-            gained: f64::NAN,
-        });
+        let named = self.newly_named(name, stage);
+        self.named.push(Named { probability: MOST_SURE, parameters: vec![parameter], ..named });
         self.rank_alone(name, stage, (MOST_SURE, f64::INFINITY));
     }
 

@@ -8,6 +8,8 @@
 //!
 //! Not run yet on hardware: it is built and linked only.
 
+mod flash;
+
 use core::panic::PanicInfo;
 
 use cortex_m::peripheral::SCB;
@@ -32,9 +34,9 @@ use embassy_stm32::{Peri, Peripherals, bind_interrupts, dma, interrupt, uid};
 use embassy_time::Delay;
 use embedded_hal_bus::spi::ExclusiveDevice;
 use static_cell::{ConstStaticCell, StaticCell};
-use w25q32jv::W25q32jv;
 
 use crate::app::{self, Ended, Interrupt, Node};
+use flash::Flash;
 
 bind_interrupts!(struct Irqs {
     DMA1_CHANNEL2 => dma::InterruptHandler<peripherals::DMA1_CH2>;
@@ -46,9 +48,8 @@ bind_interrupts!(struct Irqs {
 });
 
 type Bus = ExclusiveDevice<Spi<'static, Async, Master>, Output<'static>, Delay>;
-type Flash = W25q32jv<Bus, Output<'static>, Output<'static>>;
 
-/// Without a batch of samples for this long the node starts again.
+/// When the sampling task neither gets samples nor tries to start the sensor for this long, the node starts again.
 const WATCHDOG_US: u32 = 20_000_000;
 
 static BUFFER: ConstStaticCell<Buffer> = ConstStaticCell::new(Buffer::new());
@@ -154,7 +155,7 @@ fn serial(
 /// On its own, because the stack that it takes while it makes the node would stay taken in `start`.
 #[inline(never)]
 fn node((bus, hold, protect): (Bus, Output<'static>, Output<'static>)) -> Option<&'static Node<Flash>> {
-    let flash = W25q32jv::new(bus, hold, protect).ok()?;
+    let flash = Flash::new(bus, hold, protect)?;
     Some(NODE.init(Node::new(flash, BUFFER.take())))
 }
 

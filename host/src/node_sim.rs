@@ -158,14 +158,10 @@ impl SimulatedNode {
                 self.buffer.clear();
                 record
             }
-            Event::Missed(passage) => {
-                self.lost_passages += 1;
-                blank(&passage, &[])
-            }
+            Event::Missed(passage) => blank(&passage, &[]),
         };
-        if block_on(self.storage.append(&record)).is_err() {
-            self.lost_passages += 1;
-        }
+        let stored = block_on(self.storage.append(&record)).is_ok();
+        self.lost_passages += u32::from(event.is_lost(stored));
         on_record(&record);
     }
 }

@@ -4,14 +4,16 @@
 //! Only the vertical axis z leaves the driver. The sensor is mounted with its z axis down, so codes are positive
 //! downwards like every vertical quantity of the project.
 //!
-//! `registers` has the data sheet's names, `driver` talks to the part over SPI, `model` is the part as seen from
-//! the bus, for the simulated node and for tests.
+//! `registers` has the data sheet's names, `driver` talks to the part over SPI, `silence` notices that it gives no
+//! samples any more, `model` is the part as seen from the bus, for the simulated node and for tests.
 
 pub mod driver;
 pub mod model;
 pub mod registers;
+pub mod silence;
 
 pub use driver::{Adxl357, Batch, Error};
+pub use silence::Silence;
 
 use crate::sample::RAW_RATE_HZ;
 

@@ -19,6 +19,10 @@ const SAMPLE_PERIOD_US: i128 = 1_000_000 / RAW_RATE_HZ as i128;
 /// Shortest span between two bindings that gives a drift, µs: an error of 10 ms in host time is then 17 ppm.
 pub const SHORTEST_SPAN_US: u64 = 600_000_000;
 
+/// Largest drift that is believed, parts per 10⁹ (1000 ppm): the clocks of sensor and host are far better, so beyond it
+/// the host's was put right between two settings, as of a laptop that began in 1970.
+const LARGEST_DRIFT_PPB: u32 = 1_000_000;
+
 /// Host time and sample count at one moment.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Binding {
@@ -131,7 +135,8 @@ fn drift(first: Binding, now: Binding) -> Option<i32> {
         return None;
     }
     let node = (i128::from(now.sample) - i128::from(first.sample)) * SAMPLE_PERIOD_US;
-    i32::try_from((node - host) * 1_000_000_000 / host).ok()
+    let drift = i32::try_from((node - host) * 1_000_000_000 / host).ok()?;
+    (drift.unsigned_abs() <= LARGEST_DRIFT_PPB).then_some(drift)
 }
 
 #[cfg(test)]
@@ -163,6 +168,29 @@ mod tests {
         assert_eq!((second.ahead_us, second.drift_ppb), (Some(360_000), Some(100_000)));
         assert!(second.stored);
         assert_eq!(clock.unix_us(sample), Some(START_US + 3_600_000_000));
+    }
+
+    /// The clock of a laptop that began in 1970 and was put right gave a drift of −999 999 000 ppb, kept in flash.
+    #[test]
+    fn regress_a_host_clock_that_jumps_gives_no_drift() {
+        let mut nor = Nor::new(2);
+        let mut clock = mounted(&mut nor);
+        block_on(clock.set(&mut nor, 0, 60_000_000));
+        let jumped = block_on(clock.set(&mut nor, 240_000, START_US));
+        assert_eq!((jumped.drift_ppb, mounted(&mut nor).state().drift_ppb), (None, None));
+        // Least and most that is believed, over 1000 s.
+        for (samples, drift_ppb) in [
+            (4_004_000, Some(1_000_000)),
+            (3_996_000, Some(-1_000_000)),
+            (4_004_001, None),
+            (3_995_999, None),
+        ] {
+            let mut nor = Nor::new(2);
+            let mut clock = mounted(&mut nor);
+            block_on(clock.set(&mut nor, 0, START_US));
+            let set = block_on(clock.set(&mut nor, samples, START_US + 1_000_000_000));
+            assert_eq!(set.drift_ppb, drift_ppb, "{samples}");
+        }
     }
 
     #[test]

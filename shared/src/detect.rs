@@ -68,6 +68,9 @@ pub struct Detection {
     baseline: Option<f32>,
     /// Mean absolute deviation from it while quiet, m/s².
     noise: f32,
+    /// Running mean of a passage, m/s²: a vibration is about the quiet level, so this is the next baseline when it
+    /// does not end.
+    mean: f32,
     /// Latest samples, newest in bit 0: active or not.
     history: u128,
     /// Since the latest passage began and since its latest activity, in samples; `None` between passages.
@@ -89,7 +92,7 @@ impl Default for Detection {
 impl Detection {
     /// Nothing heard yet. The noise starts at the level that gives the lowest threshold.
     pub const fn new() -> Self {
-        Self { baseline: None, noise: 0.05, history: 0, passage: None }
+        Self { baseline: None, noise: 0.05, mean: 0.0, history: 0, passage: None }
     }
 
     /// Whether a passage is going on.
@@ -108,7 +111,7 @@ impl Detection {
     }
 }
 
-/// Slowness of the baseline and noise trackers, samples: a drift of 0.15 m/s² in 10 s lags by 0.03 m/s².
+/// Slowness of baseline, noise and mean, samples: a drift of 0.15 m/s² in 10 s lags by 0.03 m/s².
 const TRACKING: f32 = 2048.0;
 /// One sample moves the trackers by no more than this many times the noise, so a spike hardly does.
 const CLIP: f32 = 4.0;
@@ -123,7 +126,10 @@ impl Detector {
         state.history = (state.history << 1) | u128::from(active);
         match state.passage {
             None => self.wait(state, deviation),
-            Some(span) => self.follow(state, span, active),
+            Some(span) => {
+                state.mean += (x - state.mean) / TRACKING;
+                self.follow(state, span, active)
+            }
         }
     }
 
@@ -148,6 +154,7 @@ impl Detector {
         if state.history.count_ones() < self.min_active {
             return Change::None;
         }
+        state.mean = state.baseline_m_s2();
         state.passage = Some(Span { duration: HISTORY, idle: 0 });
         Change::Began
     }
@@ -158,7 +165,7 @@ impl Detector {
         state.passage = Some(span);
         if span.duration >= self.max_duration {
             // Rather the quiet level has moved than that this is a train: learn it anew.
-            *state = Detection { passage: state.passage, ..Detection::new() };
+            *state = Detection { baseline: Some(state.mean), ..Detection::new() };
             return self.end(state, span);
         }
         if idle >= self.hold { self.end(state, span) } else { Change::None }

@@ -6,7 +6,7 @@
 //! ([`operator`]) and the force [`peaks`] are picked, all by [`evaluate`]; what remains is a [`record`].
 //!
 //! Around that: the sensor ([`adxl357`]); what is kept in flash ([`storage`]: [`journal`] of records, kernel [`bank`],
-//! [`clock`]); and the link to the field tool ([`frame`], [`message`], [`server`]).
+//! [`clock`]), with a [`limit`] to its waits; and the link to the field tool ([`frame`], [`message`], [`server`]).
 //!
 //! The arithmetic is plain f32 in a fixed order, so the same samples give the same bits on the PC and on the MCU.
 #![no_std]
@@ -27,6 +27,7 @@ pub mod frame;
 pub mod image;
 pub mod journal;
 pub mod kaiser;
+pub mod limit;
 pub mod message;
 #[cfg(test)]
 mod nor_mock;

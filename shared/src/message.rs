@@ -165,7 +165,7 @@ pub enum Refusal {
     },
     /// About the kernel package.
     Package(bank::Refusal),
-    /// The node has not read its flash yet; ask again.
+    /// The node has not read its flash yet, or has no sample yet to set the clock by; ask again.
     Starting,
     /// The answer does not fit in a frame; a fault of the firmware.
     TooLong,

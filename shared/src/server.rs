@@ -77,6 +77,8 @@ impl Identity {
         let counters = Counters { storage_errors: storage.errors(), ..live.counters };
         Ok(match request {
             Request::Info => Reply::Info(self.info(storage, counters).await),
+            // No sample yet to bind the time to: the node reads its flash, or its sensor does not start.
+            Request::SetClock { .. } if live.sample == 0 => return Err(Refusal::Starting),
             Request::SetClock { unix_us } => {
                 Reply::ClockSet(storage.clock.set(&mut storage.flash, live.sample, unix_us).await)
             }
@@ -363,6 +365,17 @@ mod tests {
         assert!(node.ask_raw(&[]).is_empty());
         node.storage = Storage::new(Nor::new(1), Map::node());
         node.ask(Request::Info, |reply| assert_eq!(reply, Reply::Refused(Refusal::Starting)));
+    }
+
+    /// A time that came while the node read its flash was bound to sample 0, which was taken seconds later.
+    #[test]
+    fn regress_the_clock_is_not_set_before_the_first_sample() {
+        let mut node = Node::new();
+        let request = Request::SetClock { unix_us: 1_760_000_000_000_000 };
+        node.ask(request, |reply| assert_eq!(reply, Reply::Refused(Refusal::Starting)));
+        assert_eq!(node.storage.clock.state().binding, None);
+        node.live.sample = 8;
+        node.ask(request, |reply| assert!(matches!(reply, Reply::ClockSet(_)), "{reply:?}"));
     }
 
     #[test]

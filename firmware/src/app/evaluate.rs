@@ -45,12 +45,11 @@ pub async fn evaluate<F: MultiwriteNorFlash>(
                 buffer.clear();
                 record
             }
-            Event::Missed(passage) => {
-                node.passage_lost();
-                blank(&passage, &[])
-            }
+            Event::Missed(passage) => blank(&passage, &[]),
         };
-        store(node, &record).await;
+        if event.is_lost(store(node, &record).await) {
+            node.passage_lost();
+        }
         drop(_busy);
         if node.live.get().activity == Activity::Ended && node.events.is_empty() {
             node.ended.signal(());
@@ -58,8 +57,10 @@ pub async fn evaluate<F: MultiwriteNorFlash>(
     }
 }
 
-async fn store<F: MultiwriteNorFlash>(node: &Node<F>, record: &Record) {
-    if node.storage.lock().await.append(record).await.is_ok() {
+/// Returns whether the flash took it.
+async fn store<F: MultiwriteNorFlash>(node: &Node<F>, record: &Record) -> bool {
+    let stored = node.storage.lock().await.append(record).await.is_ok();
+    if stored {
         let (sequence, flags, axles) = (record.sequence, record.flags, record.wheelsets.len());
         defmt::info!(
             "record {=u32}: flags {=u16:#x}, {=usize} wheelsets, {=f32} m/s",
@@ -70,8 +71,8 @@ async fn store<F: MultiwriteNorFlash>(node: &Node<F>, record: &Record) {
         );
     } else {
         defmt::error!("record {=u32} is lost: the flash did not take it", record.sequence);
-        node.passage_lost();
     }
+    stored
 }
 
 /// Says "evaluating" while it lives.

@@ -1,7 +1,7 @@
 //! Sampling task: empties the sensor's FIFO and feeds the sampler. It never waits for anything but the sensor.
 
 use cpcm_shared::acquire::{Acquisition, Events};
-use cpcm_shared::adxl357::{Adxl357, Batch, FIFO_SAMPLES, SAMPLE_PERIOD_US};
+use cpcm_shared::adxl357::{Adxl357, Batch, FIFO_SAMPLES, SAMPLE_PERIOD_US, Silence};
 use cpcm_shared::passage::Buffer;
 use embassy_time::{Duration, Instant, Timer, with_timeout};
 use embedded_hal_async::spi::SpiDevice;
@@ -25,7 +25,8 @@ const PATIENCE: Duration = Duration::from_micros(FIFO_SAMPLES as u64 * SAMPLE_PE
 const RETRY: Duration = Duration::from_millis(500);
 
 /// Samples until the sensor ends, which a real one does not. The next passage gets the number `sequence`; `alive` is
-/// called for every batch, to feed a watchdog.
+/// called for every batch that holds samples, and for every try to start a sensor that gives none, to feed a watchdog: a
+/// broken sensor must not cost uploads and clock.
 pub async fn sample<F: MultiwriteNorFlash>(
     node: &Node<F>,
     mut spi: impl SpiDevice,
@@ -35,17 +36,18 @@ pub async fn sample<F: MultiwriteNorFlash>(
 ) {
     let mut acquisition = Acquisition::new(sequence);
     let mut batch = Batch::default();
-    let mut since_us = Instant::now().as_micros();
+    let mut silence = Silence::new(now_us());
     loop {
-        match Adxl357::start(&mut spi, Instant::now().as_micros()).await {
+        match Adxl357::start(&mut spi, now_us()).await {
             Ok(mut sensor) => {
                 defmt::info!("sensor measures");
-                lose(node, &mut acquisition, &mut batch, since_us);
+                lose(node, &mut acquisition, &mut batch, &silence);
+                silence = Silence::new(now_us());
+                let (acquisition, batch) = (&mut acquisition, &mut batch);
                 let run =
-                    run(node, &mut sensor, &mut interrupt, &mut acquisition, &mut batch, &mut alive).await;
-                since_us = Instant::now().as_micros();
-                if run.is_err() {
-                    finish(node, &mut acquisition);
+                    run(node, &mut sensor, &mut interrupt, acquisition, batch, &mut silence, &mut alive);
+                if run.await.is_err() {
+                    finish(node, acquisition);
                     return;
                 }
             }
@@ -53,29 +55,38 @@ pub async fn sample<F: MultiwriteNorFlash>(
         }
         acquisition.sensor_failed();
         node.live.set(acquisition.live());
+        alive();
         Timer::after(RETRY).await;
     }
 }
 
-/// Returns `Ok` when the bus fails, `Err` when the samples end.
+/// Returns `Ok` when the bus fails or the sensor falls silent, `Err` when the samples end.
 async fn run<F: MultiwriteNorFlash, S: SpiDevice>(
     node: &Node<F>,
     sensor: &mut Adxl357<S>,
     interrupt: &mut impl Interrupt,
     acquisition: &mut Acquisition,
     batch: &mut Batch,
+    silence: &mut Silence,
     alive: &mut impl FnMut(),
 ) -> Result<(), Ended> {
     loop {
         let ended = matches!(with_timeout(PATIENCE, interrupt.active()).await, Ok(Err(Ended)));
-        if sensor.drain(Instant::now().as_micros(), batch).await.is_err() {
+        let visit_us = now_us();
+        if sensor.drain(visit_us, batch).await.is_err() {
             defmt::error!("sensor bus failed");
             return Ok(());
         }
         take(node, acquisition, batch);
-        alive();
         if ended && batch.codes.is_empty() {
             return Err(Ended);
+        }
+        if silence.stalled(visit_us, batch) {
+            defmt::error!("sensor has fallen silent");
+            return Ok(());
+        }
+        if !batch.codes.is_empty() {
+            alive();
         }
     }
 }
@@ -88,16 +99,15 @@ fn take<F: MultiwriteNorFlash>(node: &Node<F>, acquisition: &mut Acquisition, ba
     node.live.set(acquisition.live());
 }
 
-/// Accounts for the time in which the sensor was not read.
+/// Accounts for the time in which the sensor gave nothing.
 fn lose<F: MultiwriteNorFlash>(
     node: &Node<F>,
     acquisition: &mut Acquisition,
     batch: &mut Batch,
-    since_us: u64,
+    silence: &Silence,
 ) {
-    let gap_us = Instant::now().as_micros().saturating_sub(since_us);
     batch.codes.clear();
-    batch.lost = u32::try_from(gap_us / u64::from(SAMPLE_PERIOD_US)).unwrap_or(u32::MAX);
+    batch.lost = silence.missed(now_us());
     // The first start is no loss.
     if acquisition.live().sample > 0 {
         take(node, acquisition, batch);
@@ -119,7 +129,12 @@ fn with_buffer<F: MultiwriteNorFlash>(node: &Node<F>, work: impl FnOnce(Option<&
     for event in work(buffer.as_deref_mut().map(|buffer| &mut **buffer)) {
         if node.events.try_send(event).is_err() {
             defmt::error!("evaluation does not keep up: a passage is lost");
+            event.give_up(buffer.as_deref_mut().map(|buffer| &mut **buffer));
             node.passage_lost();
         }
     }
+}
+
+fn now_us() -> u64 {
+    Instant::now().as_micros()
 }

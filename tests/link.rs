@@ -5,7 +5,7 @@ use std::path::Path;
 use std::sync::{Arc, Mutex, OnceLock};
 use std::time::Duration;
 
-use cpcm::node_client::{ClientError, Downloaded, NodeClient, Patience, Piece};
+use cpcm::node_client::{ClientError, Downloaded, NodeClient, Patience, Piece, recorded_since_start};
 use cpcm::node_sim::{
     Listener, MemoryNor, SharedNode, SimulatedNode, codes_of_site, in_process, with_kernel,
 };
@@ -128,6 +128,56 @@ fn property_a_part_file_of_another_node_is_not_used() {
     assert_eq!(downloaded.records.len(), 24);
 }
 
+/// What had come of a download was cut away when the node had overwritten its first records meanwhile, or had nothing in common with it.
+#[test]
+fn regress_records_that_the_node_has_overwritten_stay_in_the_file() {
+    let (whole, dir) = (&measured().1, tempfile::tempdir().unwrap());
+    let (file, part) = (dir.path().join("records.bin"), dir.path().join("records.bin.part"));
+    // As if the ring had come round to the first ten.
+    let entries = client(&measured_node()).list(0).unwrap();
+    let later = entries[10].sequence;
+    fs::write(&part, &whole[..whole.len() / 2]).unwrap();
+    let downloaded = client(&measured_node()).download(&file, later, &mut |_| {}).unwrap();
+    assert_eq!(&fs::read(&file).unwrap(), whole);
+    assert_eq!((downloaded.kept, downloaded.records.len(), &downloaded.set_aside), (10, 24, &None));
+    // And to all that had come.
+    let early: usize = entries[..5].iter().map(|entry| usize::from(entry.length)).sum();
+    fs::write(&part, &whole[..early]).unwrap();
+    let downloaded = client(&measured_node()).download(&file, later, &mut |_| {}).unwrap();
+    assert_eq!((downloaded.kept, downloaded.records.len()), (0, 14));
+    assert_eq!(fs::read(downloaded.set_aside.unwrap()).unwrap(), whole[..early]);
+}
+
+/// A second download replaced a file of records that the node had overwritten since.
+#[test]
+fn regress_records_that_a_download_would_lose_are_counted() {
+    let (whole, dir) = (&measured().1, tempfile::tempdir().unwrap());
+    let file = dir.path().join("records.bin");
+    let mut client = client(&measured_node());
+    assert_eq!(client.not_listed(&file, 0).unwrap(), 0, "no file yet");
+    fs::write(&file, whole).unwrap();
+    assert_eq!(client.not_listed(&file, 0).unwrap(), 0);
+    let later = client.list(0).unwrap()[10].sequence;
+    assert_eq!(client.not_listed(&file, later).unwrap(), 10);
+}
+
+/// Records from before the last start-up had the dates of samples that were taken as long after it.
+#[test]
+fn regress_records_of_an_earlier_start_have_no_date() {
+    let node = measured_node();
+    let of_this_start = || {
+        let mut client = client(&node);
+        let info = client.info().unwrap();
+        let entries = client.list(0).unwrap();
+        entries.iter().filter(|entry| recorded_since_start(&info, entry)).count()
+    };
+    assert_eq!(of_this_start(), 0);
+    let mut site = read_site(&field("reference-1")).unwrap();
+    site.passages.truncate(1);
+    node.lock().unwrap().sense(codes_of_site(&site).unwrap(), |_| {});
+    assert_eq!(of_this_start(), 1);
+}
+
 #[test]
 fn property_upload_resumes_where_the_line_was_cut() {
     let package = synthetic_kernel::package("after the cut");
@@ -151,6 +201,17 @@ fn property_a_line_that_comes_back_is_not_noticed() {
     let faults = Faults { cut_after: Some(3_000), can_reopen: true, ..Faults::default() };
     download(&mut flaky_client(&node, faults), dir.path()).unwrap();
     assert_eq!(fs::read(dir.path().join("records.bin")).unwrap(), measured().1);
+}
+
+/// A kernel that rots in the node's flash could not be sent again: the node said that it was in force already.
+#[test]
+fn regress_a_damaged_kernel_can_be_uploaded_again() {
+    let (node, package) = (measured_node(), synthetic_kernel::package("GN 648"));
+    let mut client = client(&node);
+    assert!(client.upload_kernel(&package, &mut |_| {}).unwrap().already);
+    let again = client.upload(&package, true, &mut |_| {}).unwrap();
+    assert_eq!((again.sent, again.already), (package.len() as u64, false));
+    assert_eq!(client.info().unwrap().kernel.unwrap().site.as_str(), "GN 648");
 }
 
 /// One bit in 2000 bytes is wrong: every second full frame is damaged.
@@ -219,15 +280,21 @@ fn property_packages_that_do_not_fit_are_refused() {
     let refused = |package: &[u8]| client(&node).upload_kernel(package, &mut |_| {}).unwrap_err();
     let good = synthetic_kernel::package("too long");
     let (mut header, _) = Header::decode(&good).unwrap();
+    let payload = good[good.len() - header.payload_len as usize..].to_vec();
     header.payload_len = 6 << 20;
     let mut long = vec![0; 5000];
     let length = header.encode(&mut long).unwrap();
     long.resize(length + header.payload_len as usize, 0);
+    long[length..length + payload.len()].copy_from_slice(&payload);
     let error = refused(&long);
     let Refusal::Package(bank::Refusal::TooLong { length, max }) = refusal(&error) else { panic!("{error}") };
     assert_eq!((length, max), (long.len() as u32, 5 << 20));
     assert!(matches!(refused(b"no package"), ClientError::Package(_)));
     assert!(matches!(refused(&good[..good.len() - 1]), ClientError::PackageLength { .. }));
+    let mut damaged = good.clone();
+    let last = damaged.len() - 1;
+    damaged[last] ^= 1;
+    assert!(matches!(refused(&damaged), ClientError::PackageDamaged { .. }));
     // A tool that does not look first is refused by the node itself, with the chunk that completes the header.
     let mut client = client(&node);
     client.upload_begin(20, 0).unwrap();

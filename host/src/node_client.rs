@@ -23,7 +23,7 @@ use cpcm_shared::frame::{self, Decoder, MAX_FRAME, MAX_PAYLOAD};
 use cpcm_shared::message::{Entry, Envelope, Info, Live, PROTOCOL_VERSION, Refusal, Reply, Request};
 
 pub use error::ClientError;
-pub use records::{RecordsError, flag_names, parse_records, write_records_parquet};
+pub use records::{RecordsError, flag_names, parse_records, recorded_since_start, write_records_parquet};
 pub use refusal::explain;
 pub use transfer::{Downloaded, Piece, Uploaded};
 pub use transport::{Address, Transport, serial_ports};

@@ -69,7 +69,7 @@ struct LineArgs {
     #[arg(long, value_name = "N", default_value_t = 115_200)]
     baud: u32,
     /// Wait up to this many seconds for the node to appear
-    #[arg(long, value_name = "S", default_value_t = 0)]
+    #[arg(long, value_name = "S", default_value_t = 0, value_parser = clap::value_parser!(u64).range(..=86_400))]
     wait: u64,
 }
 

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use cpcm_shared::message::Refusal;
 use cpcm_shared::package::check::PackageError;
 
-use super::refusal::explain;
+use super::refusal::{explain, explain_package};
 use crate::recording::RecordingError;
 
 /// A request or a transfer failed.
@@ -47,7 +47,7 @@ pub enum ClientError {
     #[error("the request is too long for a frame")]
     RequestTooLong,
     /// The file is no kernel package.
-    #[error("no kernel package for this node: {0:?}")]
+    #[error("no kernel package for this node: {}", explain_package(.0))]
     Package(PackageError),
     /// The package is not as long as its header tells.
     #[error("the kernel package has {found} bytes, its header tells {expected}; the file is damaged")]
@@ -56,6 +56,14 @@ pub enum ClientError {
         found: u64,
         /// Prefix, header and payload, bytes.
         expected: u64,
+    },
+    /// A block of the package is not what its header says.
+    #[error(
+        "the kernel package is damaged: its kernel for {speed_m_s:.1} m/s fails its checksum; make or copy it again"
+    )]
+    PackageDamaged {
+        /// Speed of the bin, m/s.
+        speed_m_s: f32,
     },
     /// The node has restarted again and again during an upload.
     #[error("the node lost the upload {restarts} times (does it restart?)")]

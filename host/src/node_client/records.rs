@@ -5,6 +5,7 @@
 use std::path::Path;
 
 use cpcm_shared::checksum;
+use cpcm_shared::message::{Entry, Info};
 use cpcm_shared::record::{FORMAT, Record, Wheelset, flag};
 
 use crate::recording::RecordingError;
@@ -58,6 +59,17 @@ pub fn parse_records(bytes: &[u8]) -> (Vec<Record>, usize, Option<RecordsError>)
     (records, offset, None)
 }
 
+/// The records at the beginning of `bytes` that are whole.
+pub(super) fn whole_records(mut bytes: &[u8]) -> Vec<&[u8]> {
+    let mut records = Vec::new();
+    while let Ok((_, length)) = parse_one(bytes, records.len(), 0) {
+        let (record, rest) = bytes.split_at(length);
+        records.push(record);
+        bytes = rest;
+    }
+    records
+}
+
 fn parse_one(bytes: &[u8], index: usize, offset: usize) -> Result<(Record, usize), RecordsError> {
     if let Some(&found) = bytes.first()
         && found != FORMAT
@@ -70,6 +82,15 @@ fn parse_one(bytes: &[u8], index: usize, offset: usize) -> Result<(Record, usize
     let whole = bytes.get(..length).ok_or(undecodable)?;
     checksum::verified(whole).ok_or(RecordsError::Checksum { index, offset })?;
     Ok((record, length))
+}
+
+/// Whether a record is from after the node's last start-up, from which its samples and its clock count. What a node that could not
+/// store its newest records says of the one before them may be wrong, unless its sample count has not got that far yet.
+pub fn recorded_since_start(info: &Info, entry: &Entry) -> bool {
+    let next = info.records.as_ref().map_or(0, |records| u64::from(records.last) + 1);
+    let counters = &info.counters;
+    u64::from(entry.sequence) + u64::from(counters.passages) >= next
+        && entry.first_axle_sample <= counters.samples
 }
 
 /// Flags of a record by name.

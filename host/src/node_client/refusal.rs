@@ -2,6 +2,8 @@
 
 use cpcm_shared::bank;
 use cpcm_shared::message::Refusal;
+use cpcm_shared::package::FORMAT;
+use cpcm_shared::package::check::PackageError;
 
 /// What a refusal means to the person at the tool.
 pub fn explain(refusal: &Refusal) -> String {
@@ -24,6 +26,24 @@ pub fn explain(refusal: &Refusal) -> String {
     }
 }
 
+/// What is wrong with a file that is to be a kernel package, and what to do.
+pub fn explain_package(error: &PackageError) -> String {
+    let what = match error {
+        PackageError::Magic => "it is another kind of file, or an empty one".into(),
+        PackageError::HeaderLength(bytes) => format!("its header is said to have {bytes} bytes"),
+        PackageError::TooShort { needed, given } => {
+            format!("it has {given} bytes, {needed} at least are needed")
+        }
+        PackageError::HeaderCrc { stored, computed } => {
+            format!("its header has checksum {computed:#010x} instead of {stored:#010x}, it is damaged")
+        }
+        PackageError::Encoding => "its header does not decode".into(),
+        PackageError::Format(found) => format!("its layout is {found}, this program knows {FORMAT}"),
+        other => format!("{other:?}"),
+    };
+    format!("{what}; make it with `cpcm kernel`")
+}
+
 fn package(refusal: &bank::Refusal) -> String {
     use bank::Refusal::*;
     match refusal {
@@ -38,9 +58,7 @@ fn package(refusal: &bank::Refusal) -> String {
                 "the package in its flash has checksum {found:#010x} instead of {announced:#010x}; upload again"
             )
         }
-        Header(error) => {
-            format!("the package does not fit this node ({error:?}); make it anew with `cpcm kernel`")
-        }
+        Header(error) => format!("the package does not fit this node: {}", explain_package(error)),
         Length { package, parts } => {
             format!("the package has {package} bytes, its header tells {parts}; the file is damaged")
         }

@@ -1,17 +1,19 @@
 //! Transfers of many requests: kernel upload and record download, both resumable.
 
+use std::collections::HashSet;
 use std::fs::{File, OpenOptions};
-use std::io::{Seek, SeekFrom, Write};
+use std::io::{ErrorKind, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 use cpcm_shared::bank;
 use cpcm_shared::checksum::{crc32, verified};
 use cpcm_shared::message::{Entry, MAX_CHUNK, Refusal};
+use cpcm_shared::operator::block_crc;
 use cpcm_shared::package::check::header_len;
-use cpcm_shared::package::{Header, PREFIX_LEN};
+use cpcm_shared::package::{Block, Header, Operator, PREFIX_LEN};
 use cpcm_shared::record::Record;
 
-use super::records::parse_records;
+use super::records::{parse_records, whole_records};
 use super::{ClientError, NodeClient};
 
 /// Shortest piece on a bad line, bytes.
@@ -52,6 +54,10 @@ pub struct Downloaded {
     pub resumed: u64,
     /// Records that the node overwrote while others were being read.
     pub overwritten: u32,
+    /// Records of a download that had been cut which the list does not hold any more; they are in the file, before the others.
+    pub kept: usize,
+    /// Where the beginning of a download that has nothing in common with the node's list went.
+    pub set_aside: Option<PathBuf>,
 }
 
 /// Length of pieces: half after a failure, double again after many that went well.
@@ -72,9 +78,10 @@ impl PieceLength {
         self.bytes > SHORTEST_PIECE
     }
 
-    fn failed(&mut self) -> bool {
+    /// Whether a piece shorter than the one that failed can be tried.
+    fn failed(&mut self, asked: usize) -> bool {
         let more = self.can_be_shorter();
-        *self = PieceLength { bytes: (self.bytes / 2).max(SHORTEST_PIECE), went_well: 0 };
+        *self = PieceLength { bytes: (self.bytes.min(asked) / 2).max(SHORTEST_PIECE), went_well: 0 };
         more
     }
 
@@ -94,9 +101,19 @@ impl NodeClient {
         package: &[u8],
         progress: &mut dyn FnMut(Piece),
     ) -> Result<Uploaded, ClientError> {
+        self.upload(package, false, progress)
+    }
+
+    /// The same of a package that may be in force already (`again`): its copy on the node may have been damaged since.
+    pub fn upload(
+        &mut self,
+        package: &[u8],
+        again: bool,
+        progress: &mut dyn FnMut(Piece),
+    ) -> Result<Uploaded, ClientError> {
         let kernel_id = check_package(package)?;
         let (crc, total) = (crc32(package), package.len() as u64);
-        if self.info()?.kernel.is_some_and(|kernel| (kernel.crc, kernel.id) == (crc, kernel_id)) {
+        if !again && self.info()?.kernel.is_some_and(|kernel| (kernel.crc, kernel.id) == (crc, kernel_id)) {
             return Ok(Uploaded { kernel_id, sent: 0, resumed: 0, already: true });
         }
         let (mut sent, mut resumed, mut restarts) = (0, None, 0);
@@ -144,11 +161,21 @@ impl NodeClient {
                 }))) => {
                     *received = there;
                 }
-                Err(ClientError::NoAnswer { .. }) if length.failed() => {}
+                Err(ClientError::NoAnswer { .. }) if length.failed(piece.len()) => {}
                 Err(other) => return Err(other),
             }
         }
         Ok(())
+    }
+
+    /// How many records of a file the node does not list from sequence `first` on: a download into that file would lose them.
+    pub fn not_listed(&mut self, file: &Path, first: u32) -> Result<usize, ClientError> {
+        let bytes = read_if_there(file)?;
+        if bytes.is_empty() {
+            return Ok(0);
+        }
+        let listed: HashSet<u32> = self.list(first)?.iter().map(|entry| entry.crc).collect();
+        Ok(whole_records(&bytes).into_iter().filter(|record| !listed.contains(&crc_of(record))).count())
     }
 
     /// Downloads the records from sequence `first` on into `file`, which appears when it is complete. What is there
@@ -161,11 +188,12 @@ impl NodeClient {
     ) -> Result<Downloaded, ClientError> {
         let entries = self.list(first)?;
         let mut part = Part::open(file, &entries)?;
-        let total = entries.iter().map(|entry| u64::from(entry.length)).sum();
-        let (resumed, mut overwritten) = (part.length, 0);
+        let listed: u64 = entries.iter().map(|entry| u64::from(entry.length)).sum();
+        let total = part.kept_bytes as u64 + listed;
+        let (resumed, mut overwritten, mut pieces) = (part.length, 0, PieceLength::new());
         for entry in &entries[part.complete..] {
             let mut on_bytes = |done| progress(Piece { done, total });
-            match self.download_record(entry, &mut part, &mut on_bytes) {
+            match self.download_record(entry, &mut part, &mut pieces, &mut on_bytes) {
                 Err(ClientError::Refused(Refusal::NoRecord { .. })) => {
                     // The ring has come round to it in the meantime.
                     part.truncate_record()?;
@@ -175,11 +203,14 @@ impl NodeClient {
             }
         }
         progress(Piece { done: total, total });
+        let (kept, set_aside) = (part.kept, part.set_aside.clone());
         let bytes = part.finish(file)?;
         let (records, _, fault) = parse_records(&bytes);
         match fault {
             Some(fault) => Err(fault.into()),
-            None => Ok(Downloaded { records, bytes: bytes.len() as u64, resumed, overwritten }),
+            None => {
+                Ok(Downloaded { records, bytes: bytes.len() as u64, resumed, overwritten, kept, set_aside })
+            }
         }
     }
 
@@ -189,11 +220,12 @@ impl NodeClient {
         &mut self,
         entry: &Entry,
         part: &mut Part,
+        pieces: &mut PieceLength,
         progress: &mut dyn FnMut(u64),
     ) -> Result<(), ClientError> {
         let mut begun_before = !part.tail.is_empty();
         loop {
-            self.read_rest(entry, part, progress)?;
+            self.read_rest(entry, part, pieces, progress)?;
             let found = part.tail.last_chunk().map_or(0, |crc| u32::from_le_bytes(*crc));
             if found == entry.crc && verified(&part.tail).is_some() {
                 part.complete_record();
@@ -211,21 +243,21 @@ impl NodeClient {
         &mut self,
         entry: &Entry,
         part: &mut Part,
+        pieces: &mut PieceLength,
         progress: &mut dyn FnMut(u64),
     ) -> Result<(), ClientError> {
-        let mut length = PieceLength::new();
         while part.tail.len() < usize::from(entry.length) {
             progress(part.length);
-            let wanted = (usize::from(entry.length) - part.tail.len()).min(length.bytes);
+            let wanted = (usize::from(entry.length) - part.tail.len()).min(pieces.bytes);
             let offset = part.tail.len() as u32;
             let read = |client: &mut Self| client.read(entry.sequence, offset, wanted as u16);
-            match self.impatient(length.can_be_shorter(), read) {
+            match self.impatient(pieces.can_be_shorter(), read) {
                 Ok(bytes) if bytes.is_empty() => return Err(ClientError::WrongAnswer),
                 Ok(bytes) => {
                     part.append(&bytes)?;
-                    length.went_well();
+                    pieces.went_well();
                 }
-                Err(ClientError::NoAnswer { .. }) if length.failed() => {}
+                Err(ClientError::NoAnswer { .. }) if pieces.failed(wanted) => {}
                 Err(other) => return Err(other),
             }
         }
@@ -233,13 +265,27 @@ impl NodeClient {
     }
 }
 
-/// Id of the package, when it is one that fits.
+/// Id of the package, when it is one that fits and is whole: the node checks a block when it applies it, and then has no other.
 fn check_package(package: &[u8]) -> Result<u32, ClientError> {
     let (header, id) = Header::decode(package).map_err(ClientError::Package)?;
-    let header_len = header_len(package).map_err(ClientError::Package)?;
-    let expected = (PREFIX_LEN + header_len) as u64 + u64::from(header.payload_len);
+    let payload_at = PREFIX_LEN + header_len(package).map_err(ClientError::Package)?;
+    let expected = payload_at as u64 + u64::from(header.payload_len);
     let found = package.len() as u64;
-    if found == expected { Ok(id) } else { Err(ClientError::PackageLength { found, expected }) }
+    if found != expected {
+        return Err(ClientError::PackageLength { found, expected });
+    }
+    let whole = |block: &Block| {
+        let from = payload_at + block.offset as usize;
+        let bytes = package.get(from..from + 4 * usize::from(block.rows) * usize::from(block.cols));
+        bytes.is_some_and(|bytes| block_crc(bytes) == block.crc)
+    };
+    for bin in &header.bins {
+        let blocks = |o: &Operator| [o.project, o.expand, o.offset_n, o.half_width_n, o.template_m_s2];
+        if !bin.operators.iter().flat_map(blocks).all(|block| whole(&block)) {
+            return Err(ClientError::PackageDamaged { speed_m_s: bin.speed_m_s });
+        }
+    }
+    Ok(id)
 }
 
 /// The file of a download that goes on.
@@ -248,34 +294,38 @@ struct Part {
     file: File,
     /// Bytes in the file.
     length: u64,
-    /// Complete records in the file.
+    /// Records in the file that the node does not list any more, before the others, and their bytes.
+    kept: usize,
+    kept_bytes: usize,
+    /// Records of the list that are complete in the file.
     complete: usize,
     /// Bytes of the record that is being read, in the file too.
     tail: Vec<u8>,
+    /// Where a file went that has nothing in common with the list.
+    set_aside: Option<PathBuf>,
 }
 
 impl Part {
-    /// Opens what an earlier run has left, as far as it agrees with the list.
+    /// Opens what an earlier run has left, if it agrees with the list; if not, puts it aside.
     fn open(target: &Path, entries: &[Entry]) -> Result<Self, ClientError> {
         let path = part_path(target);
-        let failed = |doing| move |source| (doing, source);
-        let open = || -> Result<(File, Vec<u8>), (&'static str, std::io::Error)> {
-            let bytes = match std::fs::read(&path) {
-                Err(error) if error.kind() == std::io::ErrorKind::NotFound => Vec::new(),
-                other => other.map_err(failed("read"))?,
-            };
-            let mut options = OpenOptions::new();
-            let file =
-                options.write(true).create(true).truncate(false).open(&path).map_err(failed("create"))?;
-            Ok((file, bytes))
+        let bytes = read_if_there(&path)?;
+        let begun = Begun::of(&bytes, entries);
+        let set_aside = match begun {
+            Some(_) => None,
+            None => Some(put_aside(&path)?),
         };
-        let (file, bytes) =
-            open().map_err(|(doing, source)| ClientError::File { doing, path: path.clone(), source })?;
-        let (complete, end) = agreeing(&bytes, entries);
-        let room = entries.get(complete).map_or(0, |entry| usize::from(entry.length));
-        let tail: Vec<u8> = bytes[end..].iter().copied().take(room).collect();
+        let Begun { kept, kept_bytes, complete, end } = begun.unwrap_or_default();
+        let tail = if set_aside.is_some() { Vec::new() } else { bytes[end..].to_vec() };
+        let mut options = OpenOptions::new();
+        let file = options
+            .write(true)
+            .create(true)
+            .truncate(false)
+            .open(&path)
+            .map_err(|source| ClientError::File { doing: "create", path: path.clone(), source })?;
         let length = (end + tail.len()) as u64;
-        let mut part = Part { path, file, length, complete, tail };
+        let mut part = Part { path, file, length, kept, kept_bytes, complete, tail, set_aside };
         part.set_length(length)?;
         Ok(part)
     }
@@ -324,17 +374,62 @@ fn part_path(target: &Path) -> PathBuf {
     name.into()
 }
 
-/// Number and total length of the first records in `bytes` that are the first ones of the list.
-fn agreeing(bytes: &[u8], entries: &[Entry]) -> (usize, usize) {
-    let (mut count, mut end) = (0, 0);
-    for entry in entries {
-        let Some(record) = bytes.get(end..end + usize::from(entry.length)) else { break };
-        let crc = record.last_chunk().map(|crc| u32::from_le_bytes(*crc));
-        if crc != Some(entry.crc) || verified(record).is_none() {
-            break;
-        }
-        count += 1;
-        end += usize::from(entry.length);
+/// How far a file has got with a list.
+#[derive(Default)]
+struct Begun {
+    kept: usize,
+    kept_bytes: usize,
+    complete: usize,
+    /// Bytes of all whole records; less than the next one follows.
+    end: usize,
+}
+
+impl Begun {
+    /// Nothing for a file with which the list does not go on: of another node, or from so long ago that the node has overwritten all
+    /// of it.
+    fn of(bytes: &[u8], entries: &[Entry]) -> Option<Self> {
+        let records = whole_records(bytes);
+        let first = entries.first().map(|entry| entry.crc);
+        let kept = records.iter().position(|record| Some(crc_of(record)) == first).unwrap_or(0);
+        let listed = &records[kept..];
+        let agrees = listed.len() <= entries.len()
+            && listed.iter().zip(entries).all(|(record, entry)| crc_of(record) == entry.crc);
+        let end = records.iter().map(|record| record.len()).sum();
+        let room = entries.get(listed.len()).map_or(0, |entry| usize::from(entry.length));
+        let kept_bytes = records[..kept].iter().map(|record| record.len()).sum();
+        (agrees && bytes.len() - end <= room).then_some(Self {
+            kept,
+            kept_bytes,
+            complete: listed.len(),
+            end,
+        })
     }
-    (count, end)
+}
+
+fn crc_of(record: &[u8]) -> u32 {
+    record.last_chunk().map_or(0, |crc| u32::from_le_bytes(*crc))
+}
+
+/// Content of a file; nothing where there is none.
+fn read_if_there(path: &Path) -> Result<Vec<u8>, ClientError> {
+    match std::fs::read(path) {
+        Err(error) if error.kind() == ErrorKind::NotFound => Ok(Vec::new()),
+        other => other.map_err(|source| ClientError::File { doing: "read", path: path.into(), source }),
+    }
+}
+
+/// Gives a file the first free name behind its own, and says which.
+fn put_aside(path: &Path) -> Result<PathBuf, ClientError> {
+    let name = |k: u32| {
+        let mut name = path.as_os_str().to_owned();
+        name.push(format!(".{k}"));
+        PathBuf::from(name)
+    };
+    let free = (1..).map(name).find(|name| !name.exists()).unwrap_or_else(|| name(0));
+    std::fs::rename(path, &free).map_err(|source| ClientError::File {
+        doing: "put aside",
+        path: path.into(),
+        source,
+    })?;
+    Ok(free)
 }

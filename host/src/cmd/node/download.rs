@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::Context;
+use anyhow::{Context, bail};
 use clap::Args;
 use serde_json::{Value, json};
 
@@ -34,6 +34,16 @@ pub(super) struct DownloadArgs {
 impl DownloadArgs {
     pub(super) fn run(self) -> anyhow::Result<()> {
         let mut client = self.line.open()?;
+        let file = self.out.join("records.bin");
+        let lost = client.not_listed(&file, self.since)?;
+        if lost > 0 {
+            bail!(
+                "{} holds {lost} records that the node does not list from sequence {} on (overwritten since, or of another node), and \
+                 would lose them; give another directory",
+                file.display(),
+                self.since
+            );
+        }
         let downloaded = download_into(&mut client, &self.out, self.since)?;
         if self.json {
             return print_json(&summary(&self.out, &downloaded));
@@ -67,6 +77,8 @@ pub(super) fn summary(out: &Path, downloaded: &Downloaded) -> Value {
         "bytes": downloaded.bytes,
         "resumed": downloaded.resumed,
         "overwritten": downloaded.overwritten,
+        "kept": downloaded.kept,
+        "set_aside": downloaded.set_aside.as_ref().map(|path| path.display().to_string()),
     })
 }
 
@@ -80,6 +92,12 @@ pub(super) fn text(out: &Path, downloaded: &Downloaded) -> String {
     match not_evaluated(downloaded) {
         0 => {}
         count => text += &format!("{count} records have no forces; `cpcm node list` shows why\n"),
+    }
+    if downloaded.kept > 0 {
+        text += &format!("{} of them, from before, are not on the node any more\n", downloaded.kept);
+    }
+    if let Some(path) = &downloaded.set_aside {
+        text += &format!("a beginning of another download was there; it is now {}\n", path.display());
     }
     if downloaded.overwritten > 0 {
         text += &format!("{} records were overwritten by newer ones meanwhile\n", downloaded.overwritten);

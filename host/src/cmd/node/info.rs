@@ -34,7 +34,7 @@ fn text(info: &Info) -> String {
         info.records.map_or("none".into(), |e| format!("{} from {} to {}", e.count, e.first, e.last));
     let (c, clock) = (info.counters, &info.clock);
     let set = match (clock.binding, clock.set_before_us) {
-        (Some(_), _) => sample_time(c.samples, clock),
+        (Some(_), _) => sample_time(c.samples, true, clock),
         (None, Some(before)) => format!("not set since start-up (set before at {})", iso_utc(before)),
         (None, None) => "never set; use `cpcm node set-clock`".into(),
     };

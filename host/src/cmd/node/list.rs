@@ -7,12 +7,12 @@ use serde_json::json;
 use super::LineArgs;
 use super::text::sample_time;
 use crate::cmd::output::{print, print_json};
-use crate::node_client::flag_names;
+use crate::node_client::{flag_names, recorded_since_start};
 
 /// List the records in a node's journal
 ///
 /// Times are those of the clock set since the node's last start-up; records from before it show the time after their own
-/// start-up.
+/// start-up ("earlier start + 2 d 03:10:00").
 #[derive(Args)]
 #[command(after_help = "Example:\n  cpcm node list --port /dev/ttyUSB0 --since 120")]
 pub(super) struct ListArgs {
@@ -29,9 +29,11 @@ pub(super) struct ListArgs {
 impl ListArgs {
     pub(super) fn run(self) -> anyhow::Result<()> {
         let mut client = self.line.open()?;
-        let clock = client.info()?.clock;
+        let info = client.info()?;
         let entries = client.list(self.since)?;
-        let time = |entry: &Entry| sample_time(entry.first_axle_sample, &clock);
+        let time = |entry: &Entry| {
+            sample_time(entry.first_axle_sample, recorded_since_start(&info, entry), &info.clock)
+        };
         if self.json {
             let entries: Vec<_> = entries
                 .iter()

@@ -18,6 +18,7 @@ use crate::node_sim::{
     Listener, MemoryNor, Qemu, SharedNode, codes_of_site, find_elf, in_process, with_kernel,
 };
 use crate::progress::Progress;
+use crate::recording::files::read_bytes;
 use crate::recording::{Site, read_site};
 
 /// Feed the recordings of a site to a simulated node and keep its records
@@ -45,8 +46,8 @@ pub(super) struct SimulateArgs {
     #[arg(long, value_name = "FILE", requires = "qemu", env = "CPCM_NODE_ELF")]
     elf: Option<PathBuf>,
     /// Afterwards answer on this TCP address, or on a pseudo-terminal with “pty”
-    #[arg(long, value_name = "ADDRESS", conflicts_with = "qemu")]
-    listen: Option<String>,
+    #[arg(long, value_name = "ADDRESS", conflicts_with = "qemu", value_parser = listening)]
+    listen: Option<Listening>,
     /// Print a summary as JSON
     #[arg(long)]
     json: bool,
@@ -57,12 +58,13 @@ impl SimulateArgs {
         let site =
             read_site(&self.site).with_context(|| format!("cannot read site {}", self.site.display()))?;
         warn_skipped(&site.skipped);
-        let package = std::fs::read(&self.kernel)
-            .with_context(|| format!("cannot read kernel package {}", self.kernel.display()))?;
+        let package = read_bytes(&self.kernel).context("cannot read the kernel package")?;
         let codes = codes_of_site(&site).with_context(|| format!("site {}", self.site.display()))?;
         std::fs::create_dir_all(&self.out)
             .with_context(|| format!("cannot create {}", self.out.display()))?;
-        let node = with_kernel(&package).context("the node does not take the kernel package")?;
+        let node = with_kernel(&package).with_context(|| {
+            format!("the node does not take the kernel package {}", self.kernel.display())
+        })?;
         if self.qemu {
             let node = Arc::into_inner(node).and_then(|node| node.into_inner().ok());
             let flash = node.context("the simulated node is still in use")?.into_flash();
@@ -72,7 +74,7 @@ impl SimulateArgs {
         sense(&site, codes, &node);
         let downloaded = download_into(&mut NodeClient::over(in_process(node.clone())), &self.out, 0)?;
         self.tell(&site, &downloaded)?;
-        self.listen.as_deref().map_or(Ok(()), |address| listen(address, node))
+        self.listen.map_or(Ok(()), |at| listen(at, node))
     }
 
     fn tell(&self, site: &Site, downloaded: &Downloaded) -> anyhow::Result<()> {
@@ -125,15 +127,34 @@ fn in_qemu(
     download_into(&mut client, out, 0)
 }
 
-/// Answers until the program is interrupted.
-fn listen(address: &str, node: SharedNode) -> anyhow::Result<()> {
-    let listener = match (address, address.parse::<SocketAddr>()) {
+/// Where a simulated node answers.
+#[derive(Clone, Copy, Debug)]
+enum Listening {
+    #[cfg(unix)]
+    PseudoTerminal,
+    Tcp(SocketAddr),
+}
+
+fn listening(text: &str) -> Result<Listening, String> {
+    match (text, text.parse()) {
         #[cfg(unix)]
-        ("pty", _) => Listener::pseudo_terminal(node),
-        (_, Ok(address)) => Listener::tcp(address, node),
-        _ => bail!("--listen takes an address like 127.0.0.1:7000, or pty; not “{address}”"),
+        ("pty", _) => Ok(Listening::PseudoTerminal),
+        (_, Ok(address)) => Ok(Listening::Tcp(address)),
+        _ => Err("give an address like 127.0.0.1:7000, or pty".into()),
+    }
+}
+
+/// Answers until the program is interrupted.
+fn listen(at: Listening, node: SharedNode) -> anyhow::Result<()> {
+    let listener = match at {
+        #[cfg(unix)]
+        Listening::PseudoTerminal => {
+            Listener::pseudo_terminal(node).context("cannot open a pseudo-terminal")?
+        }
+        Listening::Tcp(address) => {
+            Listener::tcp(address, node).with_context(|| format!("cannot listen on {address}"))?
+        }
     };
-    let listener = listener.with_context(|| format!("cannot listen on {address}"))?;
     print(&format!("the node answers at --port {}; Ctrl-C ends it\n", listener.address))?;
     loop {
         std::thread::park();

@@ -25,11 +25,14 @@ fn civil(days: i64) -> (i64, i64, i64) {
     (year_of_era + era * 400 + i64::from(month <= 2), month, day)
 }
 
-/// When a raw sample was taken: wall time when the clock has been set since start-up, else time since start-up.
-pub fn sample_time(sample: u64, clock: &clock::State) -> String {
-    let Some(binding) = clock.binding else {
-        return format!("start + {}", duration(sample / u64::from(RAW_RATE_HZ)));
-    };
+/// When a raw sample was taken: wall time when the clock has been set since the start-up from which it is counted (`this_start`: the last
+/// one), else time since start-up.
+pub fn sample_time(sample: u64, this_start: bool, clock: &clock::State) -> String {
+    let since = || duration(sample / u64::from(RAW_RATE_HZ));
+    if !this_start {
+        return format!("earlier start + {}", since());
+    }
+    let Some(binding) = clock.binding else { return format!("start + {}", since()) };
     let period_us = 1_000_000 / i128::from(RAW_RATE_HZ);
     let unix_us = i128::from(binding.unix_us) + (i128::from(sample) - i128::from(binding.sample)) * period_us;
     iso_utc(u64::try_from(unix_us).unwrap_or(0))
@@ -70,8 +73,9 @@ mod tests {
     #[test]
     fn analytic_sample_time() {
         let mut clock = clock::State::default();
-        assert_eq!(sample_time(4 * 86_400_000 + 4000 * 61, &clock), "start + 1 d 00:01:01");
+        assert_eq!(sample_time(4 * 86_400_000 + 4000 * 61, true, &clock), "start + 1 d 00:01:01");
         clock.binding = Some(clock::Binding { sample: 8000, unix_us: 1_760_000_000_000_000 });
-        assert_eq!(sample_time(0, &clock), "2025-10-09T08:53:18Z");
+        assert_eq!(sample_time(0, true, &clock), "2025-10-09T08:53:18Z");
+        assert_eq!(sample_time(4000 * 61, false, &clock), "earlier start + 00:01:01");
     }
 }

@@ -9,6 +9,7 @@ use serde_json::json;
 use super::LineArgs;
 use crate::cmd::output::{print, print_json};
 use crate::cmd::progress::bytes_bar;
+use crate::recording::files::read_bytes;
 
 /// Upload a kernel package and put it in force
 ///
@@ -21,6 +22,9 @@ pub(super) struct UploadKernelArgs {
     file: PathBuf,
     #[command(flatten)]
     line: LineArgs,
+    /// Send it although it is in force already: its copy on the node may be damaged (flag `kernel-read`)
+    #[arg(long)]
+    again: bool,
     /// Print as JSON
     #[arg(long)]
     json: bool,
@@ -28,12 +32,11 @@ pub(super) struct UploadKernelArgs {
 
 impl UploadKernelArgs {
     pub(super) fn run(self) -> anyhow::Result<()> {
-        let package =
-            std::fs::read(&self.file).with_context(|| format!("cannot read {}", self.file.display()))?;
+        let package = read_bytes(&self.file).context("cannot read the kernel package")?;
         let mut client = self.line.open()?;
         let bar = bytes_bar("upload");
         let uploaded = client
-            .upload_kernel(&package, &mut bar.on_piece())
+            .upload(&package, self.again, &mut bar.on_piece())
             .with_context(|| format!("cannot upload {}", self.file.display()))?;
         drop(bar);
         let (id, sent, resumed) = (uploaded.kernel_id, uploaded.sent, uploaded.resumed);
@@ -44,7 +47,9 @@ impl UploadKernelArgs {
             );
         }
         print(&match uploaded.already {
-            true => format!("kernel {id:#010x} was in force already; nothing sent\n"),
+            true => format!(
+                "kernel {id:#010x} was in force already; nothing sent (--again sends it all the same)\n"
+            ),
             false => format!(
                 "kernel {id:#010x} is in force; {sent} bytes sent, {resumed} were there from before\n"
             ),

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use cpcm::gap::GapError;
 use cpcm::gap::diagnosis::{DiagnoseOptions, Diagnosis, diagnose};
-use cpcm::gap::effects::{COMMON, LATENT};
+use cpcm::gap::effects::names;
 use cpcm::gap::trial::scenario_of;
 use cpcm::progress::Silent;
 use cpcm::recording::{Site, read_site};
@@ -40,8 +40,7 @@ pub fn among(site: &Site, effects: &[&str]) -> Diagnosis {
 
 /// The catalogue without `effects`.
 pub fn all_but(effects: &[&str]) -> Vec<String> {
-    let all = COMMON.iter().map(|e| e.name()).chain(LATENT.iter().map(|e| e.name()));
-    all.filter(|name| !effects.contains(name)).map(Into::into).collect()
+    names().filter(|name| !effects.contains(name)).map(Into::into).collect()
 }
 
 /// Names of the effects of a verdict, in their order.

@@ -9,6 +9,7 @@ use cpcm::gap::effects::COMMON;
 use cpcm::gap::verdict::Verdict;
 use cpcm::progress::Silent;
 use cpcm::recording::{Passage, Site, TrafficDirection};
+use cpcm::report::diagnosis::sentence;
 use cpcm::scenario::{read_scenario, simulate};
 use cpcm_tests::diagnosed::{field, full, named, quick, says, small};
 
@@ -137,6 +138,15 @@ fn property_poor_input_without_effect_names_none() {
 #[test]
 fn property_one_passage_is_told_to_be_too_few() {
     assert!(says(&quick(&small("reference-1", 1)).unwrap(), "few passages"));
+}
+
+/// It said that nothing in the catalogue explains the gap, of which nothing had been tried.
+#[test]
+fn regress_quick_does_not_judge_the_catalogue() {
+    let found = quick(&small("known-pad-stiffness", 6)).unwrap();
+    assert_eq!(found.verdict, Verdict::Unexplained, "{:?}", found.gap);
+    assert_eq!(sentence(&found), "There is a gap; no effect was looked for (--quick).");
+    assert!(says(&found, "--quick"), "{:?}", found.remarks);
 }
 
 #[test]

@@ -4,15 +4,18 @@ use std::path::PathBuf;
 
 use anyhow::Context;
 use clap::Args;
+use clap::builder::PossibleValuesParser;
 
 use super::output::{print, print_json, warn_skipped};
 use super::progress::Bar;
 use crate::gap::consequences::{Consequences, consequences};
 use crate::gap::diagnosis::{DiagnoseOptions, Diagnosis, diagnose};
 use crate::gap::effect::Stated;
+use crate::gap::effects::names;
 use crate::gap::hammer::{BAND_HZ, Hammer};
 use crate::gap::receptance::read_receptance;
 use crate::gap::results::{diagnosis_json, write_diagnosis};
+use crate::recording::files::check_dir;
 use crate::recording::read_site;
 use crate::report::diagnosis::{sentence, significant};
 
@@ -33,7 +36,7 @@ pub(super) struct DiagnoseArgs {
     #[arg(long)]
     quick: bool,
     /// Leave an effect out of the catalogue; may be given more than once
-    #[arg(long = "exclude", value_name = "EFFECT")]
+    #[arg(long = "exclude", value_name = "EFFECT", value_parser = PossibleValuesParser::new(names()))]
     exclude: Vec<String>,
     /// Measured receptance of the track: hits on the head of the crossing rail, read by the site's sensor. One CSV file per hit
     /// (time_s,force_n,acceleration_m_s2), an estimate (frequency_hz,real_m_n,imaginary_m_n,coherence), or a universal file
@@ -57,6 +60,7 @@ impl DiagnoseArgs {
         let site =
             read_site(&self.site).with_context(|| format!("cannot read site {}", self.site.display()))?;
         warn_skipped(&site.skipped);
+        check_dir(&self.out)?;
         let x_m = self.hammer_x.unwrap_or_else(|| site.crossing.sensor_x_m());
         let hammer = (!self.hammer.is_empty()).then(|| read_hammer(&self.hammer, x_m)).transpose()?;
         let options = DiagnoseOptions { quick: self.quick, exclude: self.exclude, hammer };

@@ -101,6 +101,8 @@ pub struct Ranked {
 pub struct Diagnosis {
     /// The verdict.
     pub verdict: Verdict,
+    /// Whether it was asked for without a search for effects: `Unexplained` is then a gap, of which nothing has been tried.
+    pub quick: bool,
     /// Whether what is unexplained may be the path's, which was estimated for want of a laser scan.
     pub may_be_path: bool,
     /// Effects in the order of their discovery.
@@ -194,6 +196,9 @@ const LEAST_GAIN: f64 = 20.0;
 pub const PATH_PRIOR: PathPrior = PathPrior { inside_m: 10e-6, outside_m: 20e-6, stock_m: 15e-6 };
 /// Passages used for the search; all training passages for the final fit.
 pub(super) const SEARCH_PASSAGES: usize = 12;
+
+const UNSEARCHED: &str =
+    "no effect was looked for (--quick): the verdict says whether there is a gap, not what makes it";
 
 /// Squared misfit per value of the model that clips too, above which no further effect is looked for.
 const CLIPPED_MISFIT: f64 = 1.5;
@@ -299,6 +304,10 @@ fn diagnose_trains(
     }
     let node_gap = node_gap(site);
     let mut out = session.conclude(&before, (site.scan.is_some(), node_gap), progress)?;
+    out.quick = options.quick;
+    if out.quick {
+        out.remarks.insert(0, UNSEARCHED.into());
+    }
     out.skipped = site.skipped.len();
     if let Some(gap) = out.node_gap.filter(|g| *g > NOTABLE) {
         out.remarks.push(format!(

@@ -54,6 +54,11 @@ pub static LATENT: [&dyn Latent; 5] = [
     &bias_step::BiasStep,
 ];
 
+/// Names of all effects of the catalogue, as in the contract.
+pub fn names() -> impl Iterator<Item = &'static str> {
+    COMMON.into_iter().map(|e| e.name()).chain(LATENT.into_iter().map(|e| e.name()))
+}
+
 /// What an effect of the catalogue means, and what to do about it.
 pub fn advice(name: &str) -> Option<Advice> {
     of_either(name, |e| e.advice(), |e| e.advice())
@@ -95,8 +100,7 @@ mod tests {
 
     #[test]
     fn property_every_effect_says_what_it_means_and_what_to_do() {
-        let names = COMMON.iter().map(|e| e.name()).chain(LATENT.iter().map(|e| e.name()));
-        for name in names {
+        for name in names() {
             let Advice { what, action } = advice(name).unwrap();
             assert!(!what.is_empty() && !what.ends_with('.'), "{name}");
             assert!(action.ends_with('.') && action.chars().all(|c| c != '\n'), "{name}");

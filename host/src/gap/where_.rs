@@ -143,8 +143,9 @@ const BIN_M: f64 = 0.15;
 /// The base model is off where its mean residual exceeds this many times its standard error (in squares).
 const OFF: f64 = 2.0;
 
-/// Positions x of a bogie's front axle at which the residual that all bogies share stands out of their scatter.
-pub fn positions(predictions: &[Prediction]) -> Vec<[f64; 2]> {
+/// Positions x of a bogie's front axle at which the residual that all bogies share stands out of their scatter; `direction`: sign of
+/// their travel along x.
+pub fn positions(predictions: &[Prediction], direction: f64) -> Vec<[f64; 2]> {
     let mut bins: std::collections::BTreeMap<i64, (f64, f64)> = std::collections::BTreeMap::new();
     for p in predictions {
         let (starts, len) = &p.windows;
@@ -156,7 +157,8 @@ pub fn positions(predictions: &[Prediction]) -> Vec<[f64; 2]> {
                 .collect();
             let mean = crate::signal::mean(&values);
             let scatter: f64 = values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (n - 1.0).max(1.0);
-            let bin = ((p.first_m + k as f64 / RATE_HZ * p.speed_m_s) / BIN_M).floor() as i64;
+            let x = direction * (p.first_m + k as f64 / RATE_HZ * p.speed_m_s);
+            let bin = (x / BIN_M).floor() as i64;
             let entry = bins.entry(bin).or_default();
             *entry = (entry.0 + mean * mean, entry.1 + scatter / n);
         }
@@ -177,6 +179,7 @@ pub fn positions(predictions: &[Prediction]) -> Vec<[f64; 2]> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::gap::trains::Deeper;
 
     /// Wavelets fixed to the track, and such that are fixed in time, at several speeds.
     #[test]
@@ -206,6 +209,33 @@ mod tests {
         let [position, in_time] = collapse(&time).unwrap();
         assert!(in_time > 0.95 && position < 0.6, "{position} {in_time}");
         assert_eq!(collapse(&track[..1]), None);
+    }
+
+    /// Where traffic is trailing, trains travel against x: positions were those of facing traffic.
+    #[test]
+    fn regress_positions_are_those_of_the_track_in_both_directions() {
+        let (first_m, speed_m_s, len) = (-2.0, 40.0, 120);
+        let starts: Vec<usize> = (0..4).map(|b| b * len).collect();
+        let travel_m = |k: usize| first_m + (k % len) as f64 / RATE_HZ * speed_m_s;
+        let off = |k: usize| if (1.2..1.5).contains(&travel_m(k)) { 10.0 } else { 0.0 };
+        let noise = |k: usize| if (k / len).is_multiple_of(2) { 1.0 } else { -1.0 };
+        let count = starts.len() * len;
+        let nothing = vec![0.0; count];
+        let passage = Prediction {
+            passage_id: 0,
+            speed_m_s,
+            acceleration: [(0..count).map(|k| off(k) + noise(k)).collect(), nothing.clone(), nothing.clone()],
+            displacement: [nothing.clone(), nothing.clone(), nothing],
+            windows: (starts, len),
+            first_m,
+            deeper: Deeper::default(),
+        };
+        let near = |found: Vec<[f64; 2]>, expected: [f64; 2]| {
+            let [one] = found.as_slice() else { panic!("{found:?}") };
+            assert!(one.iter().zip(expected).all(|(a, b)| (a - b).abs() <= BIN_M + 1e-9), "{one:?}");
+        };
+        near(positions(std::slice::from_ref(&passage), 1.0), [1.2, 1.5]);
+        near(positions(&[passage], -1.0), [-1.5, -1.2]);
     }
 
     #[test]

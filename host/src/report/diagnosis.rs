@@ -67,6 +67,11 @@ pub fn sentence(d: &Diagnosis) -> String {
         Verdict::Unexplained if d.may_be_path => {
             "What the model leaves may be the path, which was estimated for want of a laser scan: see the notes.".into()
         }
+        Verdict::Unexplained if d.quick && closed(&d.gap) => {
+            "The gap is hardly larger than what differs from bogie to bogie, but something speaks against the model: see the notes."
+                .into()
+        }
+        Verdict::Unexplained if d.quick => "There is a gap; no effect was looked for (--quick).".into(),
         Verdict::Unexplained if closed(&d.gap) => {
             "The gap is hardly larger than what differs from bogie to bogie, but something acts that nothing in the catalogue explains: see \
              the notes."

@@ -45,7 +45,7 @@ impl Session<'_> {
         let held_out = self.held_out(&predicted);
         let residuals = where_::residuals(&predicted, frame, &self.split.test);
         let depends_on = where_::depends_on(&residuals, &self.named);
-        let position_m = where_::positions(&predicted);
+        let position_m = where_::positions(&predicted, frame.base.crossing.traffic_direction.sign());
         self.ranking.sort_by(|a, b| b.probability.total_cmp(&a.probability));
         let denials = self.denials()?;
         if !self.misdescribed {
@@ -81,6 +81,7 @@ impl Session<'_> {
         progress.step();
         Ok(Diagnosis {
             verdict,
+            quick: false,
             may_be_path: may_be_path && denials.iter().all(|d| d.of_path),
             stage,
             effects: if verdict == Verdict::NoGap { Vec::new() } else { self.named },

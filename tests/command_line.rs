@@ -72,6 +72,28 @@ fn property_demo_into_a_file_is_an_error() {
     assert_eq!(fs::read_to_string(&file).unwrap(), "keep");
 }
 
+/// Recordings cannot be made again: `simulate` and `demo` replaced those of a real site without a word.
+#[test]
+fn regress_recordings_are_not_replaced() {
+    let out = tempfile::tempdir().unwrap();
+    let real = out.path().join("site");
+    fs::create_dir(&real).unwrap();
+    for name in ["crossing.toml", "passages.parquet"] {
+        fs::copy(field("reference-2").join(name), real.join(name)).unwrap();
+    }
+    let before = fs::read(real.join("passages.parquet")).unwrap();
+    let example = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/examples/site.toml");
+    fails(&["simulate", text(&example), "--out", text(&real)], &["already holds passages.parquet"]);
+    fails(&["demo", "--out", text(out.path())], &["already holds another crossing.toml"]);
+    assert_eq!(fs::read(real.join("passages.parquet")).unwrap(), before);
+    // Nor do results take work that cannot be written.
+    let nowhere = real.join("passages.parquet/out");
+    for command in ["analyse", "diagnose"] {
+        fails(&[command, text(&field("reference-1")), "--out", text(&nowhere)], &["is a file"]);
+    }
+    fails(&["kernel", text(&field("reference-1")), "--out", text(&nowhere)], &["is a file"]);
+}
+
 // --- wrong usage ----------------------------------------------------------------------------------------------
 
 #[test]
@@ -82,6 +104,8 @@ fn property_wrong_usage_is_code_2_and_help_is_code_0() {
         &["analyse", "site", "--out", "results", "--take", "load-transfer"],
         &["node"],
         &["node", "download", "--baud", "x"],
+        &["node", "simulate", "site", "--kernel", "kernel.bin", "--out", "records", "--listen", "nonsense"],
+        &["diagnose", "site", "--out", "diagnosis", "--exclude", "gremlins"],
         &[],
     ] {
         assert_eq!(cpcm(args).status.code(), Some(2), "{args:?}");

@@ -7,6 +7,7 @@ mod csv;
 mod error;
 pub(crate) mod files;
 mod guard;
+mod mat;
 mod mseed;
 mod parquet;
 mod samples;
@@ -152,6 +153,17 @@ pub enum Format {
 /// How the recordings in a site directory are stored, judged by the files that are there.
 pub fn format_of(dir: &Path) -> Format {
     if dir.join("passages.csv").is_file() { Format::Csv } else { Format::Parquet }
+}
+
+/// What a site directory holds. Others would be replaced, or taken for a part of a site that is written beside them.
+const SITE: [&str; 5] = ["passages.parquet", "passages.csv", "passages", "crossing.toml", "irregularity.csv"];
+
+/// Refuses a directory that holds a site already, or a part of one; recordings cannot be made again.
+pub fn check_unoccupied(dir: &Path) -> Result<(), RecordingError> {
+    match SITE.into_iter().find(|name| dir.join(name).exists()) {
+        Some(name) => Err(RecordingError::Occupied { dir: dir.into(), name }),
+        None => Ok(()),
+    }
 }
 
 /// Writes a site directory, which is created when it does not exist. Each file appears under its name only when

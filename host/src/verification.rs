@@ -85,6 +85,9 @@ pub struct Table {
 /// Why the checks cannot be run.
 #[derive(Debug, thiserror::Error)]
 pub enum VerifyError {
+    /// Nothing to compare with.
+    #[error("truth.parquet holds no wheelset of the passages of this site; is it of another site?")]
+    NoTruth,
     /// A shipped curve does not read.
     #[error("reference curve {file} is damaged in line {line}")]
     Reference {

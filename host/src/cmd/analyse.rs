@@ -12,6 +12,7 @@ use crate::analysis::{Analysis, Condition};
 use crate::gap::corrected::Purpose;
 use crate::limits::{MODEL_GAP, OTHER_DIRECTION, UNLIKE_DESCRIPTION, UNLIKE_MODEL};
 use crate::pipeline::{self, AnalyseOptions};
+use crate::recording::files::check_dir;
 use crate::recording::read_site;
 use crate::results::{summary_json, write_results};
 
@@ -39,6 +40,7 @@ impl AnalyseArgs {
         let site =
             read_site(&self.site).with_context(|| format!("cannot read site {}", self.site.display()))?;
         warn_skipped(&site.skipped);
+        check_dir(&self.out)?;
         let (site, included) = self.effects.included_in(site, Purpose::Analysis)?;
         let mut analysis = pipeline::analyse(&site, &AnalyseOptions::default(), &Bar::new())
             .with_context(|| format!("cannot analyse site {}", self.site.display()))?;

@@ -29,7 +29,7 @@ pub(super) struct BlindTrialArgs {
     #[arg(long, default_value_t = 1)]
     seed: u64,
     /// Number of trials
-    #[arg(long, default_value_t = 20)]
+    #[arg(long, default_value_t = 20, value_parser = clap::value_parser!(u64).range(1..=100_000))]
     trials: u64,
     /// Run these trials only, by number: to look at what went wrong
     #[arg(long, value_name = "N", value_delimiter = ',', conflicts_with_all = ["trials", "resume"])]
@@ -112,7 +112,7 @@ impl BlindTrialArgs {
             Ok(())
         };
         std::thread::scope(|scope| {
-            let threads: Vec<_> = (0..jobs).map(|_| scope.spawn(work)).collect();
+            let threads: Vec<_> = (0..jobs.min(left.len())).map(|_| scope.spawn(work)).collect();
             threads.into_iter().try_for_each(|t| t.join().map_err(|_| anyhow!("a trial broke down"))?)
         })?;
         Ok(done.into_inner().unwrap_or_else(PoisonError::into_inner).into_values().collect())
@@ -268,7 +268,7 @@ fn table(scores: &[Score]) -> String {
     line("pair, each alone above twice the floor", asked(Question::Pair).filter(both_strong).collect());
     let mut by: BTreeMap<&str, Vec<&Score>> = BTreeMap::new();
     for s in asked(Question::One) {
-        by.entry(s.answer.effects[0].as_str()).or_default().push(s);
+        by.entry(s.answer.effects.first().map_or("", String::as_str)).or_default().push(s);
     }
     for (name, list) in by {
         line(&format!("  {name}"), list);

@@ -1,13 +1,13 @@
 //! `cpcm convert`
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
-use anyhow::{Context, bail};
+use anyhow::Context;
 use clap::Args;
 use serde_json::json;
 
 use super::output::{print, print_json, warn_skipped};
-use crate::recording::{Format, format_of, read_site, write_site};
+use crate::recording::{Format, check_unoccupied, format_of, read_site, write_site};
 
 /// Convert the recordings of a site between Parquet and text
 ///
@@ -42,7 +42,7 @@ impl ConvertArgs {
             Format::Parquet => Format::Csv,
             Format::Csv => Format::Parquet,
         });
-        check_output(&self.output)?;
+        check_unoccupied(&self.output)?;
         warn_skipped(&site.skipped);
         write_site(&self.output, &site, to)
             .with_context(|| format!("cannot write site {}", self.output.display()))?;
@@ -53,14 +53,4 @@ impl ConvertArgs {
         }
         print(&format!("{out}: {used} passages written, {left_out} left out\n"))
     }
-}
-
-/// Recordings that are already there would be mixed with the new ones.
-fn check_output(out: &Path) -> anyhow::Result<()> {
-    for name in ["passages.parquet", "passages.csv"] {
-        if out.join(name).exists() {
-            bail!("{} already holds {name}; name a new directory", out.display());
-        }
-    }
-    Ok(())
 }

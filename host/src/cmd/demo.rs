@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
-use anyhow::Context;
+use anyhow::{Context, bail};
 use clap::Args;
 use cpcm_shared::record::Record;
 use serde_json::json;
@@ -84,6 +84,16 @@ impl DemoArgs {
 }
 
 fn unpack(dir: &Path) -> anyhow::Result<()> {
+    let others = |(name, bytes): &(&str, &[u8])| {
+        let file = dir.join(name);
+        file.exists() && std::fs::read(file).map_or(true, |there| there != *bytes)
+    };
+    if let Some((name, _)) = SITE.iter().find(|file| others(file)) {
+        bail!(
+            "{} already holds another {name}, which the demo would replace; name a new directory with --out",
+            dir.display()
+        );
+    }
     create_dir(dir)?;
     for (name, bytes) in SITE {
         write_atomic(&dir.join(name), bytes)?;

@@ -11,7 +11,7 @@ use super::progress::Bar;
 use super::with_effects::Effects;
 use crate::gap::corrected::Purpose;
 use crate::pipeline::{self, AnalyseOptions};
-use crate::recording::files::write_atomic;
+use crate::recording::files::{check_file, write_atomic};
 use crate::recording::read_site;
 
 /// Calibrate a crossing and write the kernel package for its node
@@ -35,6 +35,7 @@ impl KernelArgs {
         let site =
             read_site(&self.site).with_context(|| format!("cannot read site {}", self.site.display()))?;
         warn_skipped(&site.skipped);
+        check_file(&self.out)?;
         let (site, included) = self.effects.included_in(site, Purpose::Kernel)?;
         let package = pipeline::kernel(&site, &AnalyseOptions::default(), &Bar::new())
             .with_context(|| format!("cannot make a kernel for site {}", self.site.display()))?;

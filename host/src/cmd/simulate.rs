@@ -8,9 +8,9 @@ use clap::Args;
 
 use super::output::{print, print_json};
 use super::progress::Bar;
-use crate::recording::files::{create_dir, read_bytes, write_atomic};
+use crate::recording::files::{check_dir, create_dir, read_bytes, write_atomic};
 use crate::recording::truth::write_truth;
-use crate::recording::{Format, write_site};
+use crate::recording::{Format, check_unoccupied, format_of, write_site};
 use crate::scenario::{read_scenario, simulate};
 
 /// Simulate train passages over a crossing with known geometry and write a site directory with truth
@@ -36,6 +36,7 @@ impl SimulateArgs {
     pub(super) fn run(self) -> anyhow::Result<()> {
         let failed = || format!("cannot simulate {}", self.scenario.display());
         let scenario = read_scenario(&self.scenario).with_context(failed)?;
+        self.check_out()?;
         let clock = Instant::now();
         let simulated = simulate(&scenario, &Bar::new()).with_context(failed)?;
         let seconds = clock.elapsed().as_secs_f64();
@@ -52,6 +53,16 @@ impl SimulateArgs {
             scenario.crossing.name,
             self.out.display()
         ))
+    }
+
+    /// Recordings that were not simulated are not replaced.
+    fn check_out(&self) -> anyhow::Result<()> {
+        let simulated =
+            self.out.join("truth.scenario.toml").exists() && format_of(&self.out) == Format::Parquet;
+        if !simulated {
+            check_unoccupied(&self.out)?;
+        }
+        Ok(check_dir(&self.out)?)
     }
 
     /// Truth first: a site that can be read is complete.

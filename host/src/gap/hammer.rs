@@ -48,7 +48,7 @@ pub enum Agreement {
 }
 
 impl Hammer {
-    /// Hits at `x_m` on the crossing rail. Refuses a receptance in whose band the hits do not agree.
+    /// Hits at `x_m` on the crossing rail. Refuses a receptance whose band has gaps, or in which the hits do not agree.
     pub fn new(receptance: &Receptance, x_m: f64) -> Result<Self, ReceptanceError> {
         let trusted = receptance.trusted(BAND_HZ)?;
         let mut next_hz = 0.0;

@@ -73,6 +73,40 @@ pub enum ReceptanceError {
         /// What is wrong.
         what: &'static str,
     },
+    /// Coherence that is none.
+    #[error("{file}, line {line}: a coherence of {coherence} is outside 0 … 1; is it in percent?")]
+    Coherence {
+        /// Which file.
+        file: String,
+        /// Line, from 1.
+        line: usize,
+        /// As it stands there.
+        coherence: f64,
+    },
+    /// Which of them is meant is not said.
+    #[error(
+        "{file}: {functions} {what}; export one file with that between the hammer and the site's sensor, which is one"
+    )]
+    Several {
+        /// Which file.
+        file: String,
+        /// What there are several of.
+        what: &'static str,
+        /// How many.
+        functions: usize,
+    },
+    /// Hits of which a series is missing.
+    #[error(
+        "{file}: {forces} series of force and {responses} of acceleration; every hit needs one of each: export all of them again"
+    )]
+    Unpaired {
+        /// Which file.
+        file: String,
+        /// Series of force.
+        forces: usize,
+        /// Series of acceleration.
+        responses: usize,
+    },
     /// Samples are missing or doubled.
     #[error(
         "{file}: sample {sample} comes {step_s:.2e} s after the one before, the others every {mean_s:.2e} s; export the hit as recorded"
@@ -119,6 +153,37 @@ pub enum ReceptanceError {
         /// Weakest line over the strongest, dB.
         decibel: f64,
     },
+    /// The band was not measured.
+    #[error(
+        "none of the {lines} lines lies between {low_hz} and {high_hz} Hz: they go from {first_hz} to {last_hz} Hz; is the frequency in kHz?"
+    )]
+    Outside {
+        /// Asked band, Hz.
+        low_hz: f64,
+        /// Asked band, Hz.
+        high_hz: f64,
+        /// Number of lines.
+        lines: usize,
+        /// Lowest of them, Hz; 0 without lines.
+        first_hz: f64,
+        /// Highest of them, Hz; 0 without lines.
+        last_hz: f64,
+    },
+    /// The band was measured in part.
+    #[error(
+        "no line between {from_hz} and {to_hz} Hz, and {low_hz} … {high_hz} Hz need one every {MOST_SPACING_HZ} Hz; record longer, or \
+         export the whole band"
+    )]
+    Sparse {
+        /// Asked band, Hz.
+        low_hz: f64,
+        /// Asked band, Hz.
+        high_hz: f64,
+        /// Where the gap begins, Hz.
+        from_hz: f64,
+        /// Where it ends, Hz.
+        to_hz: f64,
+    },
     /// Nothing was measured there.
     #[error(
         "the receptance is zero or no number on {share:.0} % of {low_hz} … {high_hz} Hz: look at the exported file, force in N and \
@@ -152,6 +217,10 @@ pub enum ReceptanceError {
 pub const LEAST_COHERENCE: f64 = 0.8;
 /// Part of the lines of a band that may lack it: anti-resonances, where there is nothing to measure.
 const INCOHERENT_PART: f64 = 0.2;
+/// Widest gap between the lines of a band, and at its ends, Hz: the track's resonances are about as wide, and hits of 1/25 s are no record.
+const MOST_SPACING_HZ: f64 = 25.0;
+/// Coherence that may be rounded.
+const COHERENCE: std::ops::RangeInclusive<f64> = -1e-3..=1.001;
 /// Weakest force in a band over its strongest line anywhere.
 const LEAST_FORCE: f64 = 0.03;
 
@@ -188,22 +257,42 @@ pub fn read_receptance(files: &[PathBuf], high_hz: f64) -> Result<Receptance, Re
 fn read_one(file: &Path) -> Result<Content, ReceptanceError> {
     let universal =
         file.extension().is_some_and(|e| e.eq_ignore_ascii_case("uff") || e.eq_ignore_ascii_case("unv"));
-    let text = String::from_utf8_lossy(&read_bytes(file)?).into_owned();
+    let text = text_of(&read_bytes(file)?);
     let name = file.display().to_string();
     if universal {
         return uff::read(&name, &text);
     }
     if text.lines().next().map(str::trim) == Some(ESTIMATE) {
-        let rows = table::<4>(&name, &text, ESTIMATE)?;
-        let lines = rows.iter().map(|[f, re, im, coherence]| (*f, c64::new(*re, *im), *coherence));
-        return Ok(Content::Estimate(Receptance::estimated(lines)));
+        return estimate(&name, &text).map(Content::Estimate);
     }
     hit(&name, &text).map(|h| Content::Hits(vec![h]))
 }
 
+/// Text without the mark that some programs put before it.
+fn text_of(bytes: &[u8]) -> String {
+    let text = String::from_utf8_lossy(bytes);
+    text.strip_prefix('\u{feff}').unwrap_or(&text).to_string()
+}
+
+fn estimate(file: &str, text: &str) -> Result<Receptance, ReceptanceError> {
+    let rows = table::<4>(file, text, ESTIMATE)?;
+    // Below the header.
+    check_coherence(file, rows.iter().zip(2..).map(|(row, line)| (line, row[3])))?;
+    let lines = rows.iter().map(|[f, re, im, coherence]| (*f, c64::new(*re, *im), *coherence));
+    Ok(Receptance::estimated(lines))
+}
+
+/// Coherences with their lines; one of 97 % would otherwise count as 1, whatever the hits were worth.
+fn check_coherence(file: &str, mut lines: impl Iterator<Item = (usize, f64)>) -> Result<(), ReceptanceError> {
+    match lines.find(|(_, coherence)| !COHERENCE.contains(coherence)) {
+        Some((line, coherence)) => Err(ReceptanceError::Coherence { file: file.into(), line, coherence }),
+        None => Ok(()),
+    }
+}
+
 /// Reads a hit from a table with the columns `time_s,force_n,acceleration_m_s2`, evenly sampled.
 pub fn read_hit(file: &Path) -> Result<Hit, ReceptanceError> {
-    hit(&file.display().to_string(), &String::from_utf8_lossy(&read_bytes(file)?))
+    hit(&file.display().to_string(), &text_of(&read_bytes(file)?))
 }
 
 fn hit(file: &str, text: &str) -> Result<Hit, ReceptanceError> {
@@ -309,23 +398,47 @@ impl Receptance {
         })
     }
 
-    /// The part between two frequencies, if the hits agree there.
+    /// The part between two frequencies, if it is there and the hits agree in it.
     pub fn trusted(&self, [low_hz, high_hz]: [f64; 2]) -> Result<Self, ReceptanceError> {
         let inside: Vec<usize> = (0..self.frequency_hz.len())
             .filter(|k| self.frequency_hz[*k] >= low_hz && self.frequency_hz[*k] <= high_hz)
             .collect();
-        let share = |lines: usize| lines as f64 / inside.len().max(1) as f64;
+        self.check_cover(&inside, [low_hz, high_hz])?;
+        let share = |lines: usize| lines as f64 / inside.len() as f64;
         let live: Vec<usize> = inside.iter().copied().filter(|k| self.is_live(*k)).collect();
         let dead = share(inside.len() - live.len());
         if dead > INCOHERENT_PART {
             return Err(ReceptanceError::Dead { low_hz, high_hz, share: 100.0 * dead });
         }
         let poor = share(inside.iter().filter(|k| self.coherence[**k] < LEAST_COHERENCE).count());
-        if inside.is_empty() || poor > INCOHERENT_PART {
+        if poor > INCOHERENT_PART {
             let lowest = inside.iter().map(|k| self.coherence[*k]).fold(1.0, f64::min);
             return Err(ReceptanceError::Incoherent { low_hz, high_hz, share: 100.0 * poor, lowest });
         }
         Ok(self.picked(&live))
+    }
+
+    /// Refuses a band that is not there, or only in part. Ascending lines.
+    fn check_cover(&self, inside: &[usize], [low_hz, high_hz]: [f64; 2]) -> Result<(), ReceptanceError> {
+        if inside.is_empty() {
+            let end_hz = |end: Option<&f64>| end.copied().unwrap_or(0.0);
+            let [first_hz, last_hz] = [self.frequency_hz.first(), self.frequency_hz.last()].map(end_hz);
+            return Err(ReceptanceError::Outside {
+                low_hz,
+                high_hz,
+                lines: self.frequency_hz.len(),
+                first_hz,
+                last_hz,
+            });
+        }
+        let mut from_hz = low_hz;
+        for to_hz in inside.iter().map(|k| self.frequency_hz[*k]).chain([high_hz]) {
+            if to_hz - from_hz > MOST_SPACING_HZ {
+                return Err(ReceptanceError::Sparse { low_hz, high_hz, from_hz, to_hz });
+            }
+            from_hz = to_hz;
+        }
+        Ok(())
     }
 
     /// Whether something was measured at a line: analysers write zeros where they have nothing.
@@ -349,13 +462,16 @@ impl Receptance {
         }
     }
 
-    /// As an analyser estimated it: frequencies, Hz, receptances, m/N, coherences. Nothing moves at 0 Hz.
+    /// As an analyser estimated it, in any order: frequencies, Hz, receptances, m/N, coherences. Nothing moves at 0 Hz.
     fn estimated(lines: impl Iterator<Item = (f64, c64, f64)>) -> Self {
         let mut out =
             Self { frequency_hz: Vec::new(), receptance_m_n: Vec::new(), coherence: Vec::new(), hits: 1 };
-        for (f, receptance, coherence) in lines.filter(|l| l.0 > 0.0) {
+        let mut lines: Vec<(f64, c64, f64)> = lines.filter(|l| l.0 > 0.0).collect();
+        lines.sort_by(|a, b| a.0.total_cmp(&b.0));
+        for (f, receptance, coherence) in lines {
             out.frequency_hz.push(f);
             out.receptance_m_n.push(receptance);
+            // It may be rounded.
             out.coherence.push(coherence.clamp(0.0, 1.0));
         }
         out
@@ -467,6 +583,79 @@ mod tests {
             matches!(error, ReceptanceError::Dead { share, .. } if (share - 43.3).abs() < 0.1),
             "{error}"
         );
+    }
+
+    /// A table of an analyser at these frequencies.
+    fn exported(frequency_hz: impl Iterator<Item = f64>, coherence: &str) -> String {
+        let rows: String = frequency_hz.map(|f| format!("{f},1e-8,0,{coherence}\n")).collect();
+        format!("{ESTIMATE}\n{rows}")
+    }
+
+    /// 62 % was clamped to 1: hits that did not agree passed for a measurement without error.
+    #[test]
+    fn regress_coherence_in_percent_is_refused_with_its_line() {
+        let text = exported((20..=250).map(f64::from), "0.98").replace("\n30,1e-8,0,0.98", "\n30,1e-8,0,62");
+        let error = estimate("a.csv", &text).unwrap_err();
+        assert!(matches!(error, ReceptanceError::Coherence { line: 12, coherence: 62.0, .. }), "{error}");
+        assert!(error.to_string().contains("percent"), "{error}");
+        let rounded = estimate("a.csv", &exported((20..=250).map(f64::from), "1.0005")).unwrap();
+        assert!(rounded.coherence.iter().all(|c| *c == 1.0));
+        assert!(estimate("a.csv", &exported((20..=250).map(f64::from), "-0.5")).is_err());
+    }
+
+    /// Of lines in descending order the hammer kept the first alone.
+    #[test]
+    fn regress_lines_in_any_order_are_sorted() {
+        let up = estimate("a.csv", &exported((20..=250).map(f64::from), "0.98")).unwrap();
+        let down = estimate("a.csv", &exported((20..=250).rev().map(f64::from), "0.98")).unwrap();
+        assert_eq!(up, down);
+    }
+
+    /// A single line said what the whole track was like.
+    #[test]
+    fn regress_a_band_without_enough_lines_is_refused_with_the_gap() {
+        let trusted = |frequency_hz: &[f64]| {
+            let text = exported(frequency_hz.iter().copied(), "0.98");
+            estimate("a.csv", &text).unwrap().trusted([20.0, 250.0])
+        };
+        let gap = |frequency_hz: &[f64]| match trusted(frequency_hz) {
+            Err(ReceptanceError::Sparse { from_hz, to_hz, .. }) => (from_hz, to_hz),
+            other => panic!("{other:?}"),
+        };
+        assert_eq!(gap(&[100.0]), (20.0, 100.0));
+        let tens: Vec<f64> = (2..=25).map(|k| 10.0 * f64::from(k)).collect();
+        assert_eq!(trusted(&tens).unwrap().frequency_hz, tens);
+        assert_eq!(gap(&tens[..20]), (210.0, 250.0));
+        assert_eq!(gap(&[&tens[..5], &tens[9..]].concat()), (60.0, 110.0));
+    }
+
+    /// Frequencies in kHz were called incoherent on 0 % of the band.
+    #[test]
+    fn regress_a_file_without_the_band_says_what_it_holds() {
+        let in_khz = exported((20..=250).map(|f| 1e-3 * f64::from(f)), "0.98");
+        let error = estimate("a.csv", &in_khz).unwrap().trusted([20.0, 250.0]).unwrap_err();
+        assert!(
+            matches!(error, ReceptanceError::Outside { lines: 231, first_hz: 0.02, last_hz: 0.25, .. }),
+            "{error}"
+        );
+        assert!(error.to_string().contains("kHz"), "{error}");
+    }
+
+    /// Tables saved with a mark of their encoding had no header.
+    #[test]
+    fn regress_a_byte_order_mark_is_no_part_of_the_header() {
+        let dir = tempfile::tempdir().unwrap();
+        let read = |name: &str, text: String| {
+            let file = dir.path().join(name);
+            std::fs::write(&file, format!("\u{feff}{text}")).unwrap();
+            read_one(&file)
+        };
+        let found = read("h.csv", exported((20..=250).map(f64::from), "0.98")).unwrap();
+        assert!(matches!(found, Content::Estimate(e) if e.frequency_hz.len() == 231));
+        let rows: String = (0..100).map(|k| format!("{:.6},1,2\n", f64::from(k) * 1e-4)).collect();
+        assert!(matches!(read("h.csv", format!("{HIT}\n{rows}")).unwrap(), Content::Hits(_)));
+        let error = read("h.uff", "    -1\n    58\n".into()).unwrap_err();
+        assert!(error.to_string().contains("end (-1)"), "{error}");
     }
 
     proptest! {

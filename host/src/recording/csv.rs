@@ -9,7 +9,7 @@ use std::path::{Component, Path, PathBuf};
 use csv::{ByteRecord, ReaderBuilder, Trim};
 
 use super::check::{Gate, MAX_PASSAGES};
-use super::files::{read_bytes, write_atomic};
+use super::files::{quoted, read_bytes, write_atomic};
 use super::samples::{self, Source};
 use super::{Crossing, Passage, PassageFault, RecordingError, Skipped};
 
@@ -36,12 +36,17 @@ pub(super) fn read_passages(
     Ok((gate.passages, gate.skipped))
 }
 
-/// One row of the index as text, in the order of [`COLUMNS`], then the scale.
-struct Row([Option<String>; 8]);
+/// One row of the index.
+struct Row {
+    /// Text, in the order of [`COLUMNS`], then the scale.
+    cells: [Option<String>; 8],
+    /// Fields of the row and of the header: another number means that text stands in the wrong column.
+    fields: [usize; 2],
+}
 
 fn parse_index(file: &Path, bytes: &[u8]) -> Result<Vec<Row>, RecordingError> {
     let damaged = |reason: String| RecordingError::Damaged { file: file.into(), reason };
-    let mut reader = ReaderBuilder::new().trim(Trim::All).from_reader(bytes);
+    let mut reader = ReaderBuilder::new().trim(Trim::All).flexible(true).from_reader(bytes);
     let headers = reader.byte_headers().map_err(|e| damaged(e.to_string()))?.clone();
     let place = |name: &str| headers.iter().position(|h| h == name.as_bytes());
     let mut places = [None; 8];
@@ -56,7 +61,10 @@ fn parse_index(file: &Path, bytes: &[u8]) -> Result<Vec<Row>, RecordingError> {
             return Err(damaged(format!("more than {MAX_PASSAGES} rows")));
         }
         let text = |k: usize| String::from_utf8_lossy(record.get(k).unwrap_or_default()).into_owned();
-        rows.push(Row(places.map(|k| k.map(text).filter(|t| !t.is_empty()))));
+        rows.push(Row {
+            cells: places.map(|k| k.map(text).filter(|t| !t.is_empty())),
+            fields: [record.len(), headers.len()],
+        });
     }
     Ok(rows)
 }
@@ -68,12 +76,12 @@ fn missing(file: &Path, column: &'static str, headers: &ByteRecord) -> Recording
 
 impl Row {
     fn text(&self, k: usize) -> Result<&str, PassageFault> {
-        self.0[k].as_deref().ok_or(PassageFault::Null { column: COLUMNS[k] })
+        self.cells[k].as_deref().ok_or(PassageFault::Null { column: COLUMNS[k] })
     }
 
     fn parse<T: std::str::FromStr>(&self, k: usize) -> Result<T, PassageFault> {
         let text = self.text(k)?;
-        text.parse().map_err(|_| PassageFault::NotANumber { column: COLUMNS[k], text: text.into() })
+        text.parse().map_err(|_| PassageFault::NotANumber { column: COLUMNS[k], text: quoted(text) })
     }
 
     fn id(&self) -> Result<i32, PassageFault> {
@@ -81,9 +89,13 @@ impl Row {
     }
 
     fn passage(&self, dir: &Path) -> Result<Passage, PassageFault> {
+        let [found, expected] = self.fields;
+        if found != expected {
+            return Err(PassageFault::Fields { found, expected });
+        }
         let sample_rate_hz = self.parse(5)?;
-        let scale = self.0[7].as_deref().map(|text| {
-            text.parse().map_err(|_| PassageFault::NotANumber { column: SCALE, text: text.into() })
+        let scale = self.cells[7].as_deref().map(|text| {
+            text.parse().map_err(|_| PassageFault::NotANumber { column: SCALE, text: quoted(text) })
         });
         let source = Source {
             file: &sample_file(dir, self.text(6)?)?,
@@ -94,7 +106,7 @@ impl Row {
             passage_id: self.id()?,
             train_type: self.text(1)?.into(),
             axle_load_kg: self.parse(2)?,
-            speed_m_s: self.0[3].as_ref().map(|_| self.parse(3)).transpose()?,
+            speed_m_s: self.cells[3].as_ref().map(|_| self.parse(3)).transpose()?,
             temperature_c: self.parse(4)?,
             sample_rate_hz,
             acceleration_m_s2: samples::read(&source)?,
@@ -109,7 +121,7 @@ fn sample_file(dir: &Path, text: &str) -> Result<PathBuf, PassageFault> {
         Ok(dir.join(path))
     } else {
         Err(PassageFault::SampleFile {
-            reason: format!("`{text}` leads out of the site directory; give a path inside it"),
+            reason: format!("`{}` leads out of the site directory; give a path inside it", quoted(text)),
         })
     }
 }
@@ -162,6 +174,20 @@ mod tests {
                 }
             }
         }
+    }
+
+    /// One row with a comma too many had the whole site refused.
+    #[test]
+    fn regress_a_row_with_another_number_of_fields_is_one_passage() {
+        let text = format!(
+            "{}\n0,a,15500,45,20,4000,0.csv\n1,a, short,15500,45,20,4000,1.csv\n2,a\n",
+            COLUMNS.join(",")
+        );
+        let rows = parse_index(Path::new(INDEX), text.as_bytes()).unwrap();
+        let fault = |k: usize| rows[k].passage(Path::new("/nowhere")).unwrap_err();
+        assert!(matches!(fault(0), PassageFault::SampleFile { .. }), "only its file is missing");
+        assert!(matches!(fault(1), PassageFault::Fields { found: 8, expected: 7 }));
+        assert!(matches!(fault(2), PassageFault::Fields { found: 2, expected: 7 }));
     }
 
     #[test]

@@ -27,6 +27,14 @@ pub enum RecordingError {
     #[error("{path} is a file; name a directory for the results")]
     NotADirectory { path: PathBuf },
 
+    #[error("{path} is there and is no file; name another one")]
+    NotAFile { path: PathBuf },
+
+    #[error(
+        "{dir} already holds {name}, which would be replaced or mixed with what is written; name a new directory"
+    )]
+    Occupied { dir: PathBuf, name: &'static str },
+
     #[error("{file} is {bytes} bytes long, more than the {limit} bytes that a site may hold; split the site")]
     TooLarge { file: PathBuf, bytes: u64, limit: u64 },
 
@@ -72,6 +80,11 @@ pub enum RecordingError {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[allow(missing_docs)]
 pub enum PassageFault {
+    #[error(
+        "the row has {found} fields, the header {expected}; put text that holds a comma in quotes, or complete the row"
+    )]
+    Fields { found: usize, expected: usize },
+
     #[error("column `{column}` is null; fill in the value or remove the row")]
     Null { column: &'static str },
 

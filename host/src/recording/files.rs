@@ -1,7 +1,7 @@
 //! Small files: reading with a size limit, writing so that a reader never sees half a file.
 
 use std::io::Write;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use super::RecordingError;
 
@@ -35,6 +35,51 @@ pub(crate) fn create_dir(dir: &Path) -> Result<(), RecordingError> {
     })
 }
 
+/// Refuses a directory for results into which nothing can be written, before hours of work go into them. Creates nothing.
+pub(crate) fn check_dir(dir: &Path) -> Result<(), RecordingError> {
+    let there = dir.ancestors().map(or_here).find(|a| a.exists()).unwrap_or(Path::new("."));
+    if !there.is_dir() {
+        return Err(RecordingError::NotADirectory { path: there.into() });
+    }
+    let probe = tempfile::Builder::new().prefix(".cpcm-").tempfile_in(there);
+    probe.map(|_| ()).map_err(|source| RecordingError::Io { doing: "write into", path: there.into(), source })
+}
+
+/// The same of a file.
+pub(crate) fn check_file(file: &Path) -> Result<(), RecordingError> {
+    target(file)?;
+    check_dir(file.parent().map_or(Path::new("."), or_here))
+}
+
+/// The empty path is the present directory.
+fn or_here(path: &Path) -> &Path {
+    if path.as_os_str().is_empty() { Path::new(".") } else { path }
+}
+
+/// Where a file is written: what a link points to. Devices, pipes and directories are not replaced by files.
+fn target(file: &Path) -> Result<PathBuf, RecordingError> {
+    if file.symlink_metadata().is_err() {
+        return Ok(file.into());
+    }
+    let io = |source| RecordingError::Io { doing: "write", path: file.into(), source };
+    let path = file.canonicalize().map_err(io)?;
+    match path.is_file() {
+        true => Ok(path),
+        false => Err(RecordingError::NotAFile { path: file.into() }),
+    }
+}
+
+/// Longest text of a file that is quoted in a message, characters.
+const QUOTED: usize = 40;
+
+/// Text of a file for a message: a damaged file can hold a value of megabytes.
+pub(crate) fn quoted(text: &str) -> String {
+    match text.char_indices().nth(QUOTED) {
+        Some((at, _)) => format!("{}…", &text[..at]),
+        None => text.into(),
+    }
+}
+
 /// Writes a file under a temporary name in the same directory and renames it.
 pub(crate) fn write_atomic(file: &Path, bytes: &[u8]) -> Result<(), RecordingError> {
     write_atomic_with(file, |out| out.write_all(bytes))
@@ -46,12 +91,13 @@ pub(crate) fn write_atomic_with(
     write: impl FnOnce(&mut std::fs::File) -> std::io::Result<()>,
 ) -> Result<(), RecordingError> {
     let io = |source| RecordingError::Io { doing: "write", path: file.into(), source };
-    let parent = file.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let target = target(file)?;
+    let parent = target.parent().map_or(Path::new("."), or_here);
     let mut temporary = tempfile::Builder::new().prefix(".cpcm-").tempfile_in(parent).map_err(io)?;
     write(temporary.as_file_mut()).map_err(io)?;
     temporary.as_file().sync_all().map_err(io)?;
     share(temporary.as_file()).map_err(io)?;
-    temporary.persist(file).map_err(|e| io(e.error))?;
+    temporary.persist(&target).map_err(|e| io(e.error))?;
     Ok(())
 }
 
@@ -65,4 +111,43 @@ fn share(file: &std::fs::File) -> std::io::Result<()> {
 #[cfg(not(unix))]
 fn share(_file: &std::fs::File) -> std::io::Result<()> {
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A link was replaced by a file, and so were pipes and devices.
+    #[cfg(unix)]
+    #[test]
+    fn regress_links_are_followed_and_what_is_no_file_is_not_replaced() {
+        let dir = tempfile::tempdir().unwrap();
+        let (file, link) = (dir.path().join("file"), dir.path().join("link"));
+        std::fs::write(&file, "before").unwrap();
+        std::os::unix::fs::symlink(&file, &link).unwrap();
+        write_atomic(&link, b"after").unwrap();
+        assert_eq!(std::fs::read_to_string(&file).unwrap(), "after");
+        assert!(link.symlink_metadata().unwrap().file_type().is_symlink());
+        assert!(matches!(check_file(dir.path()), Err(RecordingError::NotAFile { .. })));
+        let device = Path::new("/dev/null");
+        assert!(matches!(write_atomic(device, b"x"), Err(RecordingError::NotAFile { .. })));
+        assert!(!device.is_file());
+    }
+
+    #[test]
+    fn property_directories_that_cannot_be_written_are_refused_before() {
+        let dir = tempfile::tempdir().unwrap();
+        check_dir(&dir.path().join("new/results")).unwrap();
+        assert!(!dir.path().join("new").exists(), "nothing is created");
+        let file = dir.path().join("file");
+        std::fs::write(&file, "").unwrap();
+        let refused = check_dir(&file.join("results")).unwrap_err();
+        assert!(matches!(refused, RecordingError::NotADirectory { .. }), "{refused}");
+    }
+
+    #[test]
+    fn property_long_texts_are_cut_between_characters() {
+        assert_eq!(quoted("short"), "short");
+        assert_eq!(quoted(&"µ".repeat(1000)).chars().count(), QUOTED + 1);
+    }
 }

@@ -16,6 +16,7 @@ pub(super) fn samples(bytes: &[u8], source: &Source) -> Result<Vec<f32>, String>
     while !rest.is_empty() {
         let length = record_length(rest).ok_or("damaged record header, or not miniSEED")?;
         let record = rest.get(..length).ok_or("the last record is cut short; copy the file again")?;
+        check_announced(record)?;
         let record = decode(record).map_err(|e| e.to_string())?;
         check_sequence(&record, end.as_ref(), source.sample_rate_hz)?;
         let count = samples.len();
@@ -25,6 +26,28 @@ pub(super) fn samples(bytes: &[u8], source: &Source) -> Result<Vec<f32>, String>
         rest = &rest[length..];
     }
     Ok(samples)
+}
+
+/// Codes of Steim1 and Steim2 in a version 3 header, and the most samples of a 32-bit word.
+const STEIM: ([u8; 2], usize) = ([10, 11], 7);
+
+/// The decoder makes room for as many samples as a version 3 header announces, up to 2³², before it looks at them; version 2 announces
+/// up to 2¹⁶. The record is as long as its header says.
+fn check_announced(record: &[u8]) -> Result<(), String> {
+    let (true, Some(header)) = (record.starts_with(b"MS\x03"), record.get(..40)) else { return Ok(()) };
+    let u32_at =
+        |k: usize| u32::from_le_bytes([header[k], header[k + 1], header[k + 2], header[k + 3]]) as usize;
+    let (samples, payload) = (u32_at(24), u32_at(36));
+    if samples > MAX_SAMPLES {
+        return Err(format!("a record announces {samples} samples, more than {MAX_SAMPLES}"));
+    }
+    if STEIM.0.contains(&header[15]) && samples > STEIM.1 * (payload / 4) {
+        return Err(format!(
+            "a record announces {samples} samples in {payload} bytes, which hold {} at most; copy the file again",
+            STEIM.1 * (payload / 4)
+        ));
+    }
+    Ok(())
 }
 
 /// One channel, one rate, no gap: a gap would shift every later axle.
@@ -96,7 +119,7 @@ fn record_length(bytes: &[u8]) -> Option<usize> {
 mod tests {
     use std::path::Path;
 
-    use miniseed_rs::{EncodingFormat, encode};
+    use miniseed_rs::{EncodingFormat, FormatVersion, encode};
     use proptest::prelude::*;
 
     use super::*;
@@ -134,6 +157,30 @@ mod tests {
             samples(&[first.clone(), late].concat(), &source(None)).unwrap_err().contains("gap of 1.0 ms")
         );
         assert!(samples(&first[..first.len() - 1], &source(None)).unwrap_err().contains("cut short"));
+    }
+
+    /// The header of a record of a few bytes had 16 GB set aside.
+    #[test]
+    fn regress_more_samples_than_a_record_holds_are_refused_before_decoding() {
+        let v3 = |encoding: EncodingFormat, announced: u32| {
+            let record = MseedRecord::new()
+                .with_nslc("XX", "XING", "00", "BNZ")
+                .with_start_time(NanoTime::epoch())
+                .with_sample_rate(4000.0)
+                .with_encoding(encoding)
+                .with_samples(Samples::Int((0..8).collect()));
+            let record = MseedRecord { format_version: FormatVersion::V3, ..record };
+            let mut bytes = encode(&record).unwrap();
+            bytes[24..28].copy_from_slice(&announced.to_le_bytes());
+            samples(&bytes, &source(Some(1.0)))
+        };
+        assert_eq!(v3(EncodingFormat::Steim2, 8).unwrap().len(), 8);
+        for encoding in [EncodingFormat::Steim1, EncodingFormat::Steim2, EncodingFormat::Int32] {
+            let error = v3(encoding, u32::MAX).unwrap_err();
+            assert!(error.contains("announces 4294967295 samples"), "{error}");
+        }
+        let error = v3(EncodingFormat::Steim2, 3_999_999).unwrap_err();
+        assert!(error.contains("3999999 samples in 64 bytes, which hold 112"), "{error}");
     }
 
     #[test]

@@ -11,6 +11,10 @@ const POSITION_M: f64 = 50.0;
 const IRREGULARITY_M: f64 = 0.05;
 /// Largest step between two points, metres: 250 Hz at 50 m/s is a wavelength of 200 mm.
 const SPACING_M: f64 = 0.1;
+/// Smallest step, metres: no scanner resolves less, so it is a unit or a copy.
+const LEAST_SPACING_M: f64 = 1e-4;
+/// Positions are written to the micrometre.
+const ROUNDING_M: f64 = 1e-6;
 const MAX_POINTS: usize = 1_000_000;
 
 /// Reads and checks the scan.
@@ -47,9 +51,25 @@ fn parse_scan(file: &Path, bytes: &[u8]) -> Result<Scan, RecordingError> {
         scan.position_m.push(x);
         scan.irregularity_m.push(z);
     }
-    match scan.position_m.len() {
-        0 | 1 => Err(RecordingError::NoRows { file: file.into() }),
-        _ => Ok(scan),
+    match scan.position_m.as_slice() {
+        [first, .., last] => check_cover([*first, *last]).map_err(|fault| RecordingError::Cell {
+            file: file.into(),
+            column: "position_m",
+            row: scan.position_m.len() - 1,
+            fault,
+        })?,
+        _ => return Err(RecordingError::NoRows { file: file.into() }),
+    }
+    Ok(scan)
+}
+
+/// Wheels pass from the wing rail to the nose near x = 0: a scan beside it has another origin.
+fn check_cover([first, last]: [f64; 2]) -> Result<(), String> {
+    match first <= 0.0 && last >= 0.0 {
+        true => Ok(()),
+        false => Err(format!(
+            "the scan reaches from {first} to {last} m and does not cover x = 0, the tip of the nose; has it another origin?"
+        )),
     }
 }
 
@@ -72,6 +92,14 @@ fn check_point(scan: &Scan, x: f64, z: f64) -> Result<(), (&'static str, String)
     }
     match scan.position_m.last() {
         Some(&last) if x <= last => Err(("position_m", format!("{x} does not follow {last}; sort the rows"))),
+        Some(&last) if x - last < LEAST_SPACING_M - ROUNDING_M => Err((
+            "position_m",
+            format!(
+                "{x} is {:.3} mm after {last}, less than {} mm; thin the scan out to 10 mm, or is it in km?",
+                1e3 * (x - last),
+                1e3 * LEAST_SPACING_M
+            ),
+        )),
         Some(&last) if x - last > SPACING_M => Err((
             "position_m",
             format!("a gap of {:.3} m after {last}; at most {SPACING_M} m is allowed", x - last),
@@ -106,6 +134,30 @@ mod tests {
             let text = format!("position_m,irregularity_m\n{rows}");
             let _ = parse_scan(Path::new("irregularity.csv"), text.as_bytes());
         }
+    }
+
+    fn refused(rows: &str) -> String {
+        let text = format!("position_m,irregularity_m\n{rows}");
+        parse_scan(Path::new("x"), text.as_bytes()).unwrap_err().to_string()
+    }
+
+    /// It was taken for a level crossing where the trains met the nose.
+    #[test]
+    fn regress_a_scan_beside_the_nose_is_refused() {
+        for (from, to, ends) in [(100, 190, "from 1 to 1.9 m"), (-200, -1, "from -2 to -0.01 m")] {
+            let rows: String = (from..=to).map(|k| format!("{:.3},0.0001\n", f64::from(k) * 0.01)).collect();
+            let error = refused(&rows);
+            assert!(error.contains(ends) && error.contains("origin"), "{error}");
+        }
+    }
+
+    /// Steps of nanometres let a scan of a micrometre pass for one of the crossing.
+    #[test]
+    fn regress_steps_that_no_scanner_has_are_refused() {
+        let error = refused("-0.000001,0\n0.000001,0.0001\n");
+        assert!(error.contains("row 1") && error.contains("0.002 mm"), "{error}");
+        let least = parse_scan(Path::new("x"), b"position_m,irregularity_m\n-0.0001,0\n0.0,0\n0.0001,0\n");
+        assert_eq!(least.unwrap().position_m.len(), 3);
     }
 
     #[test]

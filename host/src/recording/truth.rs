@@ -135,6 +135,10 @@ fn wheel(cells: &Cells, i: usize) -> Result<WheelTruth, &'static str> {
     if position_m.len() != contact_force_n.len() {
         return Err("contact_force_n");
     }
+    let finite = |values: &[f64]| values.iter().all(|v| v.is_finite());
+    if !finite(&position_m) || !finite(&contact_force_n) {
+        return Err(if finite(&position_m) { "contact_force_n" } else { "position_m" });
+    }
     let integer = |column| cells.integer(column, i).ok_or(column);
     Ok(WheelTruth {
         passage_id: i32::try_from(integer("passage_id")?).map_err(|_| "passage_id")?,

@@ -78,6 +78,9 @@ pub fn site_methods(site: &Site, truth: &Truth, progress: &dyn Progress) -> Resu
     let known_geometry = known_geometry::calibrate(site, BallastParameters::NOMINAL)?;
     progress.step();
     let methods: Vec<(&str, Score)> = all.methods.iter().map(|(name, a)| (*name, score(a, truth))).collect();
+    if methods.iter().any(|(_, score)| score.peak.is_empty()) {
+        return Err(VerifyError::NoTruth);
+    }
     let reached = methods.first().map(|m| m.1.clone()).ok_or(VerifyError::Empty("list of methods"))?;
     Ok(SiteMethods {
         limits: PeakLimits::new(identified, analysis, reached, truth, progress)?,

@@ -7,7 +7,7 @@
 
 use faer::c64;
 
-use super::{Content, Hit, Receptance, ReceptanceError, even_rate_hz};
+use super::{Content, Hit, Receptance, ReceptanceError, check_coherence, even_rate_hz};
 
 /// What an axis means (`specific data type`).
 const DISPLACEMENT: i64 = 8;
@@ -29,6 +29,8 @@ struct Function {
     /// Abscissas: Hz or s.
     at: Vec<f64>,
     value: Vec<c64>,
+    /// Line of every value in the dataset, from 1.
+    line: Vec<usize>,
 }
 
 /// Reads a file; `file` names it in errors.
@@ -50,7 +52,14 @@ pub(super) fn read(file: &str, text: &str) -> Result<Content, ReceptanceError> {
         let body = &lines[begin..begin + length];
         let at_line = |(line, what): (usize, &'static str)| wrong(begin + line, what);
         match kind {
-            "58" => functions.push(function(body).map_err(at_line)?),
+            "58" => {
+                let function = function(body).map_err(at_line)?;
+                if function.kind == COHERENCE {
+                    let lines = function.line.iter().map(|line| begin + line);
+                    check_coherence(file, lines.zip(function.value.iter().map(|v| v.re)))?;
+                }
+                functions.push(function);
+            }
             "164" => units(body).map_err(at_line)?,
             k if k.starts_with("58") => {
                 return Err(wrong(at + 2, "a binary dataset 58; export it as text"));
@@ -100,29 +109,32 @@ fn function(body: &[&str]) -> Result<Function, (usize, &'static str)> {
     if numbers.len() != parts * count {
         return Err((7, "not as many values as stated"));
     }
-    let of = |row: &[f64]| {
-        let row = if even { row } else { &row[1..] };
-        c64::new(row[0], if complex { row[1] } else { 0.0 })
-    };
+    let ordinate = usize::from(!even);
+    let of =
+        |row: &[(usize, f64)]| c64::new(row[ordinate].1, if complex { row[ordinate + 1].1 } else { 0.0 });
     let rows = || numbers.chunks_exact(parts);
     Ok(Function {
         kind,
         numerator,
         denominator,
-        at: rows().enumerate().map(|(k, row)| if even { first + k as f64 * step } else { row[0] }).collect(),
+        at: rows()
+            .enumerate()
+            .map(|(k, row)| if even { first + k as f64 * step } else { row[0].1 })
+            .collect(),
         value: rows().map(of).collect(),
+        line: rows().map(|row| row[ordinate].0).collect(),
     })
 }
 
-/// All numbers after the head of a dataset.
-fn values(body: &[&str]) -> Result<Vec<f64>, (usize, &'static str)> {
+/// All numbers after the head of a dataset, with their lines.
+fn values(body: &[&str]) -> Result<Vec<(usize, f64)>, (usize, &'static str)> {
     let words =
         body.iter().enumerate().skip(11).flat_map(|(i, l)| l.split_whitespace().map(move |w| (i + 1, w)));
     words
         .map(|(line, word)| {
             let value: f64 =
                 word.replace(['D', 'd'], "E").parse().map_err(|_| (line, "a value that is no number"))?;
-            if value.is_finite() { Ok(value) } else { Err((line, "a value that is not finite")) }
+            if value.is_finite() { Ok((line, value)) } else { Err((line, "a value that is not finite")) }
         })
         .collect()
 }
@@ -131,10 +143,26 @@ fn values(body: &[&str]) -> Result<Vec<f64>, (usize, &'static str)> {
 type Wrong<'a> = &'a dyn Fn(&'static str) -> ReceptanceError;
 
 fn content(file: &str, functions: &[Function], wrong: Wrong) -> Result<Content, ReceptanceError> {
-    let is = |kind: i64| functions.iter().find(move |f| f.kind == kind);
-    match is(FREQUENCY_RESPONSE) {
-        Some(response) => estimate(response, is(COHERENCE)).map(Content::Estimate).map_err(wrong),
+    match only(file, functions, (FREQUENCY_RESPONSE, "frequency responses"))? {
+        Some(response) => {
+            let coherence = only(file, functions, (COHERENCE, "coherences"))?;
+            estimate(response, coherence).map(Content::Estimate).map_err(wrong)
+        }
         None => hits(file, functions, wrong).map(Content::Hits),
+    }
+}
+
+/// The function of a kind; of several no one says which is the hammer's and the sensor's.
+fn only<'a>(
+    file: &str,
+    functions: &'a [Function],
+    (kind, what): (i64, &'static str),
+) -> Result<Option<&'a Function>, ReceptanceError> {
+    let mut found = functions.iter().filter(|f| f.kind == kind);
+    let first = found.next();
+    match found.count() {
+        0 => Ok(first),
+        more => Err(ReceptanceError::Several { file: file.into(), what, functions: more + 1 }),
     }
 }
 
@@ -168,6 +196,10 @@ fn order(numerator: i64) -> Result<u32, &'static str> {
 /// Series of force and of acceleration, taken in pairs as they come.
 fn hits(file: &str, functions: &[Function], wrong: Wrong) -> Result<Vec<Hit>, ReceptanceError> {
     let series = |what: i64| functions.iter().filter(move |f| f.kind == TIME_RESPONSE && f.numerator == what);
+    let [forces, responses] = [FORCE, ACCELERATION].map(|what| series(what).count());
+    if forces != responses {
+        return Err(ReceptanceError::Unpaired { file: file.into(), forces, responses });
+    }
     let hit = |(force, response): (&Function, &Function)| {
         if response.at != force.at {
             return Err(wrong("force and acceleration at different times"));
@@ -279,6 +311,39 @@ mod tests {
                 matches!(error, ReceptanceError::Universal { .. }) && error.to_string().contains(what);
             assert!(named, "{what}: {error}");
         }
+    }
+
+    /// Of unequal numbers the series left over were dropped, and with them hits; which belong together is not known either.
+    #[test]
+    fn regress_series_without_their_other_are_refused() {
+        let series = |what: i64| dataset(1, what, 0, false, &[c64::new(1.0, 0.0); 64]);
+        let text = series(FORCE) + &series(ACCELERATION) + &series(FORCE);
+        let error = read("a.uff", &text).unwrap_err();
+        assert!(matches!(error, ReceptanceError::Unpaired { forces: 2, responses: 1, .. }), "{error}");
+        let error = read("a.uff", &series(ACCELERATION)).unwrap_err();
+        assert!(matches!(error, ReceptanceError::Unpaired { forces: 0, responses: 1, .. }), "{error}");
+    }
+
+    /// The first of several was taken, whatever point it was of.
+    #[test]
+    fn regress_several_frequency_responses_are_refused_with_their_number() {
+        let one = frequency_response();
+        let error = read("a.uff", &one.repeat(3)).unwrap_err();
+        assert!(matches!(error, ReceptanceError::Several { functions: 3, .. }), "{error}");
+        assert!(error.to_string().contains("3 frequency responses"), "{error}");
+    }
+
+    #[test]
+    fn regress_coherence_in_percent_is_refused_with_its_line() {
+        let text = frequency_response();
+        let line = text.lines().position(|l| l.contains("9.70000e-1")).unwrap() + 2;
+        // The first value of the second line.
+        let (before, coherences) = text.split_at(text.find("   9.70000e-1").unwrap());
+        let (first, rest) = coherences.split_at(coherences.find('\n').unwrap());
+        let spoilt = format!("{before}{first}{}", rest.replacen("   9.70000e-1", "   9.70000e+1", 1));
+        let error = read("a.uff", &spoilt).unwrap_err();
+        let found = matches!(error, ReceptanceError::Coherence { line: l, coherence: 97.0, .. } if l == line);
+        assert!(found, "{error}, not line {line}");
     }
 
     /// Cut anywhere, and with any byte changed, it is read or refused.

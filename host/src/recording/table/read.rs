@@ -2,8 +2,11 @@
 
 use std::fs::File;
 use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 
-use parquet::column::reader::{ColumnReader, ColumnReaderImpl};
+use parquet::column::page::{Page, PageMetadata, PageReader};
+use parquet::column::reader::{ColumnReader, ColumnReaderImpl, get_column_reader};
 use parquet::data_type::{ByteArray, DataType};
 use parquet::errors::ParquetError;
 use parquet::file::metadata::ParquetMetaData;
@@ -12,12 +15,15 @@ use parquet::file::reader::{ChunkReader, FileReader, SerializedFileReader};
 use super::layout::{Layout, layout};
 use super::{Cells, Kind, List, Values};
 use crate::recording::RecordingError;
-use crate::recording::check::MAX_PASSAGES;
+use crate::recording::check::{MAX_PASSAGES, MAX_SAMPLES};
 use crate::recording::guard::guarded;
 
 /// Rows decoded at a time, and the bytes that they may take in the file's own form, as far as one row does not take more: long lists
 /// need six times as much while they are taken apart.
-const BATCH: (usize, u64) = (16, 32 << 20);
+const BATCH: (usize, u64) = (4, 32 << 20);
+/// Values of a column that a batch may take, those of a page that reaches beyond it included. Runs of one value take next to no bytes in
+/// the file and 40 each here.
+const MOST_VALUES: u64 = 2 * BATCH.0 as u64 * MAX_SAMPLES as u64;
 /// Largest decoded size of a file, bytes. A damaged or hostile footer may promise far more than the disk holds.
 const MAX_DECODED_BYTES: i64 = 8 << 30;
 
@@ -74,10 +80,17 @@ fn check_size(metadata: &ParquetMetaData) -> Result<(), String> {
         return Err(format!("it announces {rows} rows"));
     }
     let mut bytes: i64 = 0;
-    for column in metadata.row_groups().iter().flat_map(|group| group.columns()) {
+    for (rows, column) in
+        metadata.row_groups().iter().flat_map(|group| group.columns().iter().map(|c| (group.num_rows(), c)))
+    {
         let (size, values) = (column.uncompressed_size(), column.num_values());
         if size < 0 || !(0..=MAX_DECODED_BYTES / 4).contains(&values) {
             return Err(format!("it announces {values} values in {size} bytes in one column"));
+        }
+        if values > rows.saturating_mul(MAX_SAMPLES as i64) {
+            return Err(format!(
+                "it announces {values} values in {rows} rows of one column, more than {MAX_SAMPLES} in each; one row is one train passage"
+            ));
         }
         if column.data_page_offset() < 0 || column.compressed_size() < 0 {
             return Err("it announces a column before its beginning".into());
@@ -100,6 +113,68 @@ struct Leaf {
     kind: Kind,
     layout: Layout,
     reader: ColumnReader,
+    fetched: Arc<Fetched>,
+}
+
+/// Values in the pages that a column has given for a batch.
+#[derive(Default)]
+struct Fetched {
+    values: AtomicU64,
+    /// Of the last page, which the next batch goes on with.
+    last: AtomicU64,
+}
+
+impl Fetched {
+    fn begin_batch(&self) {
+        self.values.store(self.last.load(Ordering::Relaxed), Ordering::Relaxed);
+    }
+
+    fn add(&self, page: u64) -> Result<(), ParquetError> {
+        self.last.store(page, Ordering::Relaxed);
+        if self.values.fetch_add(page, Ordering::Relaxed).saturating_add(page) > MOST_VALUES {
+            return Err(ParquetError::General(format!(
+                "it holds more than {MOST_VALUES} values in {} rows or one page; one row is one train passage",
+                BATCH.0
+            )));
+        }
+        Ok(())
+    }
+}
+
+/// Pages of a column, as many as a batch may take: the footer may announce less than they hold, or all of it may be in one row.
+struct Pages {
+    pages: Box<dyn PageReader>,
+    fetched: Arc<Fetched>,
+}
+
+impl Iterator for Pages {
+    type Item = Result<Page, ParquetError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        self.get_next_page().transpose()
+    }
+}
+
+impl PageReader for Pages {
+    fn get_next_page(&mut self) -> Result<Option<Page>, ParquetError> {
+        let page = self.pages.get_next_page()?;
+        if let Some(data) = page.as_ref().filter(|page| page.is_data_page()) {
+            self.fetched.add(data.num_values().into())?;
+        }
+        Ok(page)
+    }
+
+    fn peek_next_page(&mut self) -> Result<Option<PageMetadata>, ParquetError> {
+        self.pages.peek_next_page()
+    }
+
+    fn skip_next_page(&mut self) -> Result<(), ParquetError> {
+        self.pages.skip_next_page()
+    }
+
+    fn at_record_boundary(&mut self) -> Result<bool, ParquetError> {
+        self.pages.at_record_boundary()
+    }
 }
 
 impl Group {
@@ -116,8 +191,11 @@ impl Group {
         let columns = layouts
             .iter()
             .map(|&(column, kind, layout)| {
-                let reader = group.get_column_reader(layout.leaf).map_err(|e| e.to_string())?;
-                Ok(Leaf { column, kind, layout, reader })
+                let fetched = Arc::<Fetched>::default();
+                let pages = group.get_column_page_reader(layout.leaf).map_err(|e| e.to_string())?;
+                let pages = Box::new(Pages { pages, fetched: Arc::clone(&fetched) });
+                let reader = get_column_reader(group.metadata().schema_descr().column(layout.leaf), pages);
+                Ok(Leaf { column, kind, layout, reader, fetched })
             })
             .collect::<Result<_, String>>()?;
         Ok(Self { left, batch, columns })
@@ -144,6 +222,7 @@ impl Group {
 impl Leaf {
     fn values(&mut self, rows: usize) -> Result<Values, ParquetError> {
         let layout = self.layout;
+        self.fetched.begin_batch();
         Ok(match (self.kind, &mut self.reader) {
             (Kind::Integer, ColumnReader::Int32ColumnReader(r)) => {
                 Values::Integers(scalars(lists(r, layout, rows, |v| Ok(v.into()))?))
@@ -224,5 +303,86 @@ fn lists<T: DataType, V>(
         Ok(lists)
     } else {
         Err(ParquetError::General("its levels contradict its rows".into()))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::borrow::Cow;
+
+    use bytes::Bytes;
+    use parquet::basic::Encoding;
+
+    use super::*;
+    use crate::recording::table::{Column, write_columns};
+
+    /// A single row of two thousand million values, a few bytes long in the file, took all memory.
+    #[test]
+    fn regress_rows_longer_than_any_passage_are_refused_by_the_footer() {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        let of_rows = |lengths: &[usize]| {
+            let cells = lengths.iter().map(|n| Some(Cow::Owned(vec![0.0_f32; *n]))).collect();
+            write_columns(file.path(), &[("x", Column::SingleLists(cells))]).unwrap();
+            let mut found = Vec::new();
+            for_each_batch(file.path(), &[("x", Kind::Numbers)], |cells| {
+                found.extend((0..cells.rows()).map(|i| cells.list("x", i).unwrap().len()));
+                Ok(())
+            })
+            .map(|()| found)
+        };
+        let error = of_rows(&[MAX_SAMPLES + 1]).unwrap_err().to_string();
+        assert!(error.contains("4000001 values in 1 rows") && error.contains("one train passage"), "{error}");
+        // One long row beside others is a matter of that row.
+        assert_eq!(of_rows(&[3, MAX_SAMPLES + 1, 0, 1, 2, 5]).unwrap(), [3, MAX_SAMPLES + 1, 0, 1, 2, 5]);
+    }
+
+    /// Pages that hold as many values as stated each.
+    struct Runs(Vec<u32>);
+
+    impl Iterator for Runs {
+        type Item = Result<Page, ParquetError>;
+
+        fn next(&mut self) -> Option<Self::Item> {
+            self.get_next_page().transpose()
+        }
+    }
+
+    impl PageReader for Runs {
+        fn get_next_page(&mut self) -> Result<Option<Page>, ParquetError> {
+            Ok(self.0.pop().map(|num_values| Page::DataPage {
+                buf: Bytes::new(),
+                num_values,
+                encoding: Encoding::PLAIN,
+                def_level_encoding: Encoding::RLE,
+                rep_level_encoding: Encoding::RLE,
+                statistics: None,
+            }))
+        }
+
+        fn peek_next_page(&mut self) -> Result<Option<PageMetadata>, ParquetError> {
+            Ok(None)
+        }
+
+        fn skip_next_page(&mut self) -> Result<(), ParquetError> {
+            Ok(())
+        }
+    }
+
+    /// The footer may announce few values, and the pages hold many.
+    #[test]
+    fn regress_pages_beyond_what_a_batch_may_take_are_refused() {
+        let fetched = Arc::<Fetched>::default();
+        let pages = |runs: Vec<u32>| {
+            let (pages, fetched) = (Box::new(Runs(runs)), Arc::clone(&fetched));
+            fetched.begin_batch();
+            Pages { pages, fetched }.collect::<Result<Vec<Page>, _>>().map(|pages| pages.len())
+        };
+        let half = (MOST_VALUES / 2) as u32;
+        assert_eq!(pages(vec![half, half]).unwrap(), 2);
+        // The last page reaches into the next batch.
+        assert_eq!(pages(vec![half]).unwrap(), 1);
+        let error = pages(vec![half, 1]).unwrap_err().to_string();
+        assert!(error.contains("32000000 values in 4 rows"), "{error}");
+        assert!(pages(vec![u32::MAX]).is_err());
     }
 }

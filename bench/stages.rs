@@ -6,7 +6,7 @@ use std::hint::black_box;
 use std::path::Path;
 
 use cpcm::ballast::BallastParameters;
-use cpcm::ballast::evidence::EvidenceProblem;
+use cpcm::ballast::evidence::{EvidenceProblem, temperature};
 use cpcm::ballast::low_track::LowTrack;
 use cpcm::ballast::quasi_static::QuasiStatic;
 use cpcm::forces::{Spread, wheel_forces};
@@ -71,7 +71,12 @@ fn of_ballast(group: &mut Stages, identified: &IdentifiedSite) {
         .collect();
     let vehicle = &identified.site.crossing.vehicle;
     let low_track = LowTrack::new(track.clone(), vehicle);
-    let problem = EvidenceProblem { track: &low_track, direction: identified.direction, pattern };
+    let problem = EvidenceProblem {
+        track: &low_track,
+        direction: identified.direction,
+        pattern,
+        temperature: temperature(pattern),
+    };
     group.bench_function("one linearisation of the calibration, 8 passages", |b| {
         b.iter(|| problem.posterior(black_box(&identified.calibration), &passages).unwrap())
     });

@@ -97,6 +97,19 @@ fn reference_indicators_json() {
     assert_eq!(modes.lines().count(), 1 + analysis.indicators.position_m.len());
 }
 
+/// Passages that the model does not explain were counted as used, though no number is of them.
+#[test]
+fn regress_passages_left_out_are_not_said_to_be_used() {
+    let mut analysis = sample_analysis();
+    analysis.passages[3].wheelsets[0].flags.push("unlike-model".into());
+    let read: serde_json::Value = serde_json::from_str(&summary_json(&analysis)).unwrap();
+    let passages = &read["passages"];
+    assert_eq!(passages["used"], 23);
+    assert_eq!(passages["left_out"], serde_json::json!([analysis.passages[3].passage_id]));
+    let others = analysis.passages.iter().enumerate().filter(|(i, _)| *i != 3);
+    assert_eq!(passages["wheelsets"], others.map(|(_, p)| p.wheelsets.len()).sum::<usize>());
+}
+
 #[test]
 fn property_results_of_corrected_recordings_say_so() {
     let mut analysis = sample_analysis();

@@ -86,6 +86,10 @@ pub const SITE_SPEED: f64 = 1e-3;
 pub const DISPLACEMENT: f64 = 0.01;
 /// The node's force peaks against the host's from the same recordings, relative, median.
 pub const NODE_AGAINST_HOST: f64 = 0.03;
+/// Width of the node's intervals over that of the host's: it has fewer samples and blends speeds.
+pub const NODE_WIDTH: (f64, f64) = (0.9, 1.2);
+/// Part of the true peaks inside the node's 90 % intervals: the host's hold 89 % on that site.
+pub const NODE_COVERAGE: f64 = 0.83;
 /// Where the node sees an axle, against the host, 90th percentile, m: its peak moves by as much.
 pub const NODE_AXLE_M: f64 = 0.03;
 

@@ -35,6 +35,11 @@ impl Analysis {
         (used, self.passages.len() - used + self.skipped.len())
     }
 
+    /// Wheelsets of the passages that the model explains.
+    pub fn wheelsets(&self) -> usize {
+        self.passages.iter().filter(|p| p.explained()).map(|p| p.wheelsets.len()).sum()
+    }
+
     /// The same of the passages that the model explains alone; of all where it explains none.
     pub fn of_explained(&self) -> Cow<'_, Self> {
         if explained(&self.passages).len() == self.passages.len() {

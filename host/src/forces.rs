@@ -141,6 +141,17 @@ pub struct Causes {
     pub all_n: Vec<f64>,
 }
 
+impl Causes {
+    /// What does not differ from wheel to wheel, the position aside, which moves a peak and leaves its height.
+    pub fn shared_n(&self) -> Vec<f64> {
+        self.profile_n
+            .iter()
+            .zip(&self.ballast_n)
+            .map(|(profile_n, ballast_n)| profile_n.hypot(*ballast_n))
+            .collect()
+    }
+}
+
 impl Spread {
     /// Of a class of speeds, by its number, at the passage whose speed is nearest their mean.
     pub fn new(site: &IdentifiedSite, class: usize) -> Result<Self, InverseError> {

@@ -10,7 +10,7 @@ mod sound;
 use rayon::prelude::*;
 
 use crate::ballast::BallastParameters;
-use crate::ballast::evidence::{Calibration, DIFFERENCE, EvidenceFit, EvidenceProblem, TEMPERATURE, realign};
+use crate::ballast::evidence::{Calibration, DIFFERENCE, EvidenceFit, EvidenceProblem, realign, temperature};
 use crate::ballast::quasi_static::QuasiStaticFit;
 use crate::greens::{Chain, GreensFunctions, GreensSampling, Quantity};
 use crate::inverse::hierarchy::{SiteModel, SitePassage, SitePosterior};
@@ -243,7 +243,12 @@ pub fn identify<'s>(site: &'s Site, progress: &dyn Progress) -> Result<Identifie
         .map(|p| static_wheel_force_n(p.axle_load_kg, crossing.vehicle.gravity_m_s2))
         .collect();
     let descriptions = Descriptions::new(crossing, &pattern);
-    let problem = EvidenceProblem { track: descriptions.track(), direction, pattern: &pattern };
+    let problem = EvidenceProblem {
+        track: descriptions.track(),
+        direction,
+        pattern: &pattern,
+        temperature: temperature(&pattern),
+    };
     let hits = recordings.par_iter().zip(&speed_m_s).map(|(r, v)| Hit::of(r, &pattern, *v)).collect();
     let known = Known {
         problem: &problem,
@@ -374,7 +379,7 @@ fn force_model<'a>(
         common_shift_sd_m: SHIFT_SD_M.0,
         passage_shift_sd_m: SHIFT_SD_M.1,
         speed_sd: SPEED_SD,
-        temperature: TEMPERATURE,
+        temperature: temperature(pattern),
     }
 }
 

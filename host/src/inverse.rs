@@ -16,7 +16,7 @@ mod profile;
 pub mod train;
 mod wheel;
 
-pub use estimator::{Estimator, GroupGeometry, InverseError};
+pub use estimator::{AxleGain, Estimator, GroupGeometry, InverseError};
 pub use prior::{Prior, Spread};
 pub use profile::{CommonProfile, PositionGrid, ProfileGrids, WheelClass};
 pub use wheel::{Excitation, Running, TrackModel};

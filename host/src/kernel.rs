@@ -16,11 +16,11 @@ use faer::Mat;
 use rayon::prelude::*;
 
 use self::coverage::{Demand, Room, choose, covers};
-use crate::forces::LOW_PASS_HZ;
+use crate::forces::{LOW_PASS_HZ, Spread};
 use crate::greens::{Chain, GreensFunctions, GreensSampling, Quantity};
 use crate::identify::{IdentifiedSite, Misdescription};
 use crate::inverse::hierarchy::{GroupKind, kinds};
-use crate::inverse::{Estimator, Excitation, GroupGeometry, InverseError, Running, TrackModel};
+use crate::inverse::{AxleGain, Estimator, Excitation, GroupGeometry, InverseError, Running, TrackModel};
 use crate::signal::AntiAlias;
 
 /// Why a package cannot be made.
@@ -144,13 +144,19 @@ pub fn package(site: &IdentifiedSite, done: &(dyn Fn() + Sync)) -> Result<Packag
     }
     let kinds = kinds(&site.pattern);
     let greens = node_greens(site);
+    let spreads: Vec<Spread> =
+        (0..site.classes.len()).map(|class| Spread::new(site, class)).collect::<Result<_, _>>()?;
     let speeds = bin_speeds(&recorded_m_s);
     let grid = grid(site.region_m());
     let mut parts: Vec<Vec<Parts>> = speeds
         .par_iter()
         .map(|v| {
-            let bin =
-                kinds.iter().map(|kind| operator(site, &greens, kind, *v, &grid)).collect::<Result<_, _>>();
+            let class = site.class_of(*v);
+            let of_kind = |(k, kind)| {
+                let shared_n = |axle: usize| spreads[class].causes(k, axle, &grid).shared_n();
+                operator(site, &greens, kind, *v, (&grid, &shared_n))
+            };
+            let bin = kinds.iter().enumerate().map(of_kind).collect::<Result<_, _>>();
             done();
             bin
         })
@@ -261,12 +267,13 @@ struct Parts {
     template_m_s2: Vec<f64>,
 }
 
+/// `shared_n`: what every wheel of an axle's kind is not known by alike, one standard deviation along the grid, newtons.
 fn operator(
     site: &IdentifiedSite,
     greens: &GreensFunctions,
     kind: &GroupKind,
     speed_m_s: f64,
-    grid_m: &[f64],
+    (grid_m, shared_n): (&[f64], &dyn Fn(usize) -> Vec<f64>),
 ) -> Result<Parts, InverseError> {
     let geometry = GroupGeometry {
         running: Running { direction: site.direction, speed_m_s, static_force_n: site.usual_force_n() },
@@ -280,7 +287,11 @@ fn operator(
     let (g, n) = (grid_m.len(), estimator.len());
     let gain = Mat::from_fn(gains.len() * g, n, |i, k| gains[i / g].gain[(i % g, k)]);
     let base: Vec<f64> = gains.iter().flat_map(|a| a.base_n.clone()).collect();
-    let half_width_n = gains.iter().flat_map(|a| a.sd_n.iter().map(|s| HALF_WIDTH_90 * s)).collect();
+    let half_width = |(axle, a): (usize, &AxleGain)| -> Vec<f64> {
+        let both = a.sd_n.iter().zip(shared_n(axle));
+        both.map(|(own_n, shared_n)| HALF_WIDTH_90 * own_n.hypot(shared_n)).collect()
+    };
+    let half_width_n = gains.iter().enumerate().flat_map(half_width).collect();
     let expand = leading_directions(&gain, &estimator);
     let project = expand.transpose() * &gain;
     let expected = Mat::from_fn(n, 1, |k, _| estimator.expected_m_s2[k]);

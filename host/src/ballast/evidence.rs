@@ -25,6 +25,8 @@ pub struct EvidenceProblem<'a> {
     pub direction: f64,
     /// Axle pattern of the trains.
     pub pattern: &'a AxlePattern,
+    /// Divisor of the evidence on ballast and position ([`temperature`]).
+    pub temperature: f64,
 }
 
 /// Prior of the shape p3: between a smooth minimum under the crossing sleeper (q = s², p3 = 0.25) and a cusp (linear,
@@ -32,7 +34,12 @@ pub struct EvidenceProblem<'a> {
 const P3_PRIOR: (f64, f64) = (0.4, 0.1);
 /// Divisor of the evidence on ballast and position. All wheels of a train meet the same rail at the same speed, so what
 /// the model lacks repeats in every one of them: a train of twelve wheelsets is one independent look, not twelve.
-pub const TEMPERATURE: f64 = 12.0;
+pub fn temperature(pattern: &AxlePattern) -> f64 {
+    pattern.offset_m.len() as f64
+}
+
+/// The same for likelihoods that are compared with thresholds: those of trains of three cars, with which the thresholds were set.
+pub const USUAL_TEMPERATURE: f64 = 12.0;
 /// Prior of ln p1 and ln p2: within a factor of about three around 30 MN/m² (nominal ballast, paper Table 1).
 const STIFFNESS_PRIOR: (f64, f64) = (17.2, 1.0);
 /// Prior standard deviations of the position errors after the quasi-static alignment, metres: common to all passages,
@@ -194,7 +201,7 @@ impl EvidenceProblem<'_> {
             common_shift_sd_m: SHIFT_SD_M.0,
             passage_shift_sd_m: SHIFT_SD_M.1,
             speed_sd: SPEED_SD,
-            temperature: TEMPERATURE,
+            temperature: self.temperature,
         }
     }
 }

@@ -1,4 +1,4 @@
-//! Calibration on the quasi-static part of the displacement (paper, eq. 1 and 2): below the frequency v/2.3 m the
+//! Calibration on the quasi-static part of the displacement (paper, eq. 2): below the frequency v/2.3 m the
 //! sleeper follows a constant moving load, so no crossing geometry is needed.
 //!
 //! The comparison is made in the frequency domain, where the brick-wall low-pass of eq. 2 is a choice of lines and

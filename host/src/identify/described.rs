@@ -8,7 +8,7 @@ use rayon::prelude::*;
 
 use super::spread_out;
 use crate::ballast::BallastParameters;
-use crate::ballast::evidence::{Calibration, EvidenceProblem};
+use crate::ballast::evidence::{Calibration, EvidenceProblem, USUAL_TEMPERATURE};
 use crate::ballast::low_track::LowTrack;
 use crate::ballast::quasi_static::{QuasiStatic, QuasiStaticFit};
 use crate::inverse::hierarchy::SitePassage;
@@ -216,7 +216,8 @@ impl<'a> Descriptions<'a> {
         };
         let passages: Vec<SitePassage> = first_axle_s.iter().map(passage).collect();
         let state = Calibration::starting(*start, direction);
-        let problem = EvidenceProblem { track, direction, pattern: self.pattern };
+        let problem =
+            EvidenceProblem { track, direction, pattern: self.pattern, temperature: USUAL_TEMPERATURE };
         let found = match ballast {
             Ballast::Held => problem.posterior_held(&state, &passages),
             Ballast::Free => problem.posterior(&state, &passages),

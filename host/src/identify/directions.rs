@@ -9,7 +9,7 @@ use super::known::{Found, Known, hyper_passages};
 use super::sound::{LEAST_PASSAGES, UNLIKE};
 use super::{IdentifyError, classes, spread_out};
 use crate::ballast::BallastParameters;
-use crate::ballast::evidence::{Calibration, EvidenceProblem};
+use crate::ballast::evidence::{Calibration, EvidenceProblem, USUAL_TEMPERATURE};
 use crate::inverse::hierarchy::SitePassage;
 use crate::progress::Progress;
 use crate::reconstruct::Timing;
@@ -82,7 +82,12 @@ impl Descriptions<'_> {
         let (track, described) = (self.track(), self.described.direction);
         let bogie = front_bogie(self.pattern);
         let ways = [described, described.reversed()].map(|way| {
-            let problem = EvidenceProblem { track, direction: way.sign(), pattern: &bogie };
+            let problem = EvidenceProblem {
+                track,
+                direction: way.sign(),
+                pattern: &bogie,
+                temperature: USUAL_TEMPERATURE,
+            };
             (problem, Calibration::starting(*rough, way.sign()))
         });
         let sensor_x_m = track.track.sleeper_x_m[track.track.sensor_sleeper];

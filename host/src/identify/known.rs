@@ -53,7 +53,7 @@ impl Known<'_> {
     }
 
     fn quasi_static(&self, which: &[usize]) -> QuasiStatic<'_> {
-        let EvidenceProblem { track, direction, pattern } = self.problem;
+        let EvidenceProblem { track, direction, pattern, .. } = self.problem;
         QuasiStatic::new(&track.track, *direction, pattern, &self.heard(which))
     }
 
@@ -87,7 +87,7 @@ impl Known<'_> {
     ) -> Result<Found, IdentifyError> {
         let mut passages = self.passages(which, &quasi_static.first_axle_s);
         let (calibration, ballast) = calibrate(self.problem, &quasi_static, &mut passages, progress)?;
-        let EvidenceProblem { track, direction, pattern } = self.problem;
+        let EvidenceProblem { track, direction, pattern, .. } = self.problem;
         let (greens, nearby_greens) = calibrated_greens(&track.track, &ballast.parameters);
         let (classes, misfit) = forces_of_classes(&greens, *direction, pattern, &mut passages, progress)?;
         let timings = passages.iter().map(|p| p.timing).collect();

@@ -31,7 +31,8 @@ pub(super) fn figure(analysis: &Analysis) -> Result<Figure, ReportError> {
     };
     Ok(Figure {
         title: "Ballast stiffness".into(),
-        caption: "Per metre of sleeper, around the crossing sleeper; constant outside ±2 sleepers.".into(),
+        caption: "Per metre of sleeper, around the crossing sleeper; constant outside ±2 sleepers but for supports that a diagnosis found lost."
+            .into(),
         keys: vec![
             Key::dot("calibrated", BLUE),
             Key::band("90 % interval", BLUE),

@@ -1,6 +1,7 @@
 //! Contact force over position, all wheelsets.
 
 use crate::analysis::{Analysis, WheelsetResult};
+use crate::indicator::PEAK_RATIO_THRESHOLD;
 
 use super::page::{Figure, Key};
 use super::plot::{Axis, BLUE, GREY, Layer, ORANGE, Plot, Point, RED, range_of};
@@ -72,8 +73,7 @@ fn statistics(analysis: &Analysis, all: &[Vec<Point>]) -> Vec<Layer> {
 
 /// Static wheel force and nose tip.
 fn landmarks(analysis: &Analysis, ends: (f64, f64), range: (f64, f64)) -> Vec<Layer> {
-    let v = &analysis.crossing.vehicle;
-    let resting = 0.5e-3 * v.axle_load_kg * v.gravity_m_s2;
+    let resting = 1e-3 * analysis.indicators.peak_force_n.threshold / PEAK_RATIO_THRESHOLD;
     let word = (0.012, range.1 - 0.03 * (range.1 - range.0));
     vec![
         Layer::Dashed { points: vec![(ends.0, resting), (ends.1, resting)], color: GREY, width: 3 },

@@ -70,7 +70,6 @@ fn speeds_km_h(analysis: &Analysis) -> (f64, f64) {
 
 fn facts(analysis: &Analysis) -> Vec<(&'static str, String, String)> {
     let i = &analysis.indicators;
-    let wheelsets: usize = analysis.passages.iter().map(|p| p.wheelsets.len()).sum();
     let (used, left_out) = analysis.used_and_left_out();
     let passages = format!("{used} used, {left_out} left out");
     let (force, rms) = (i.peak_force_n, i.irregularity_rms_m);
@@ -78,7 +77,7 @@ fn facts(analysis: &Analysis) -> Vec<(&'static str, String, String)> {
         ("Force peak", format!("{:.0} kN", 1e-3 * force.mean), spread(force, 1e-3, "kN")),
         ("Irregularity RMS", format!("{:.0} µm", 1e6 * rms.mean), spread(rms, 1e6, "µm")),
         ballast(&analysis.ballast),
-        ("Passages", passages, format!("{wheelsets} wheelsets")),
+        ("Passages", passages, format!("{} wheelsets", analysis.wheelsets())),
     ]
 }
 

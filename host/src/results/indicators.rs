@@ -52,8 +52,12 @@ struct IntervalJson {
 
 #[derive(Serialize)]
 struct Passages<'a> {
+    /// That the model explains, and their wheelsets: what the numbers above are of.
     used: usize,
     wheelsets: usize,
+    /// Read, and not explained by the model (flag `unlike-model`).
+    left_out: Vec<i32>,
+    /// Not usable, as read.
     skipped: Vec<SkippedJson<'a>>,
 }
 
@@ -102,8 +106,9 @@ pub(super) fn json(analysis: &Analysis) -> String {
             misfit: b.misfit,
         },
         passages: Passages {
-            used: analysis.passages.len(),
-            wheelsets: analysis.passages.iter().map(|p| p.wheelsets.len()).sum(),
+            used: analysis.used_and_left_out().0,
+            wheelsets: analysis.wheelsets(),
+            left_out: analysis.passages.iter().filter(|p| !p.explained()).map(|p| p.passage_id).collect(),
             skipped,
         },
         effects_included: &analysis.effects_included,

@@ -161,6 +161,14 @@ fn regress_records_that_a_download_would_lose_are_counted() {
     assert_eq!(client.not_listed(&file, later).unwrap(), 10);
 }
 
+/// A node whose sensor gives no samples refuses the clock; it was said to be silent.
+#[test]
+fn regress_a_clock_that_cannot_be_set_yet_is_no_silence() {
+    let error = client(&measured_node()).set_clock().unwrap_err();
+    assert_eq!(refusal(&error), Refusal::Starting);
+    assert!(error.to_string().contains("sensor"), "{error}");
+}
+
 /// Records from before the last start-up had the dates of samples that were taken as long after it.
 #[test]
 fn regress_records_of_an_earlier_start_have_no_date() {

@@ -88,14 +88,17 @@ impl NodeClient {
     /// Binds the host's time to the node's sample count.
     pub fn set_clock(&mut self) -> Result<clock::Set, ClientError> {
         let mut last = Err(ClientError::NoAnswer { attempts: 0, line: self.transport.name() });
-        for _ in 0..self.patience.attempts {
+        for attempt in 0..self.patience.attempts {
             // The time is that of sending, so each attempt has its own.
             let unix_us = now_us();
-            let once = Patience { attempts: 1, ..self.patience };
+            let first = (self.patience.first * 2_u32.pow(attempt.min(16))).min(self.patience.longest);
+            let once = Patience { attempts: 1, first, ..self.patience };
             last = self.ask_with(once, Request::SetClock { unix_us }, |reply| {
                 if let Reply::ClockSet(set) = reply { Some(set) } else { None }
             });
-            if !matches!(last, Err(ClientError::NoAnswer { .. })) {
+            let again =
+                matches!(last, Err(ClientError::NoAnswer { .. } | ClientError::Refused(Refusal::Starting)));
+            if !again {
                 break;
             }
         }
@@ -197,6 +200,9 @@ impl NodeClient {
             match self.exchange(&frame, wait, &mut pick) {
                 Ok(Some(answer)) => return Ok(answer),
                 Ok(None) => unanswered += 1,
+                Err(ClientError::Refused(Refusal::Starting)) if unanswered + 1 < patience.attempts => {
+                    unanswered += 1;
+                }
                 Err(ClientError::Line { .. }) if reopened < patience.reopenings => {
                     reopened += 1;
                     // A line that is away is often back soon; a node that starts needs a second or two.
@@ -234,8 +240,8 @@ impl NodeClient {
                 match interpret(self.next_id, payload, pick)? {
                     Answer::Picked(answer) => return Ok(Some(answer)),
                     Answer::NotYet => {
-                        std::thread::sleep(left.min(Duration::from_millis(200)));
-                        return Ok(None);
+                        std::thread::sleep(left.min(Duration::from_secs(1)));
+                        return Err(ClientError::Refused(Refusal::Starting));
                     }
                     Answer::Stale => {}
                 }

@@ -89,7 +89,7 @@ impl Clock {
         let kept =
             self.slots.value().and_then(|value| postcard::from_bytes::<Kept>(value).ok()).unwrap_or_default();
         self.state.boots = kept.boots.saturating_add(1);
-        self.state.drift_ppb = kept.drift_ppb;
+        self.state.drift_ppb = kept.drift_ppb.filter(|drift| drift.unsigned_abs() <= LARGEST_DRIFT_PPB);
         self.state.set_before_us = kept.set_us;
         self.keep(flash).await;
         Ok(())
@@ -111,7 +111,9 @@ impl Clock {
     pub async fn set<F: NorFlash>(&mut self, flash: &mut F, sample: u64, unix_us: u64) -> Set {
         let binding = Binding { sample, unix_us };
         let before = self.unix_us(sample);
-        let first = *self.first.get_or_insert(binding);
+        // After a jump of the host's clock, what was bound before says nothing of the drift.
+        let first = *self.first.filter(|first| !jumped(*first, binding)).get_or_insert(binding);
+        self.first = Some(first);
         let span_us = unix_us.saturating_sub(first.unix_us);
         let drift = drift(first, binding);
         self.state.binding = Some(binding);
@@ -127,6 +129,13 @@ impl Clock {
         let mut value = [0xFF; VALUE];
         postcard::to_slice(&kept, &mut value).is_ok() && self.slots.store(flash, value).await.is_ok()
     }
+}
+
+/// Whether the host's clock was put right by more than the sensor's can drift and the host can be late, one second.
+fn jumped(first: Binding, now: Binding) -> bool {
+    let host = i128::from(now.unix_us) - i128::from(first.unix_us);
+    let node = (i128::from(now.sample) - i128::from(first.sample)) * SAMPLE_PERIOD_US;
+    (node - host).abs() > 1_000_000 + node.abs() / 1000
 }
 
 fn drift(first: Binding, now: Binding) -> Option<i32> {
@@ -178,6 +187,9 @@ mod tests {
         block_on(clock.set(&mut nor, 0, 60_000_000));
         let jumped = block_on(clock.set(&mut nor, 240_000, START_US));
         assert_eq!((jumped.drift_ppb, mounted(&mut nor).state().drift_ppb), (None, None));
+        // From the jump on it is learnt: 10 ppm in an hour.
+        let later = block_on(clock.set(&mut nor, 240_000 + 14_400_144, START_US + 3_600_000_000));
+        assert_eq!((later.drift_ppb, later.span_us), (Some(10_000), 3_600_000_000));
         // Least and most that is believed, over 1000 s.
         for (samples, drift_ppb) in [
             (4_004_000, Some(1_000_000)),

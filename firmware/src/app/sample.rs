@@ -41,7 +41,7 @@ pub async fn sample<F: MultiwriteNorFlash>(
         match Adxl357::start(&mut spi, now_us()).await {
             Ok(mut sensor) => {
                 defmt::info!("sensor measures");
-                lose(node, &mut acquisition, &mut batch, &silence);
+                lose(node, &mut acquisition, &mut batch, &mut silence);
                 silence = Silence::new(now_us());
                 let (acquisition, batch) = (&mut acquisition, &mut batch);
                 let run =
@@ -51,7 +51,10 @@ pub async fn sample<F: MultiwriteNorFlash>(
                     return;
                 }
             }
-            Err(_) => defmt::error!("sensor does not start; trying again"),
+            Err(_) => {
+                defmt::error!("sensor does not start; trying again");
+                lose(node, &mut acquisition, &mut batch, &mut silence);
+            }
         }
         acquisition.sensor_failed();
         node.live.set(acquisition.live());
@@ -104,10 +107,10 @@ fn lose<F: MultiwriteNorFlash>(
     node: &Node<F>,
     acquisition: &mut Acquisition,
     batch: &mut Batch,
-    silence: &Silence,
+    silence: &mut Silence,
 ) {
     batch.codes.clear();
-    batch.lost = silence.missed(now_us());
+    batch.lost = silence.account(now_us());
     // The first start is no loss.
     if acquisition.live().sample > 0 {
         take(node, acquisition, batch);

@@ -88,6 +88,10 @@ fn unpack(dir: &Path) -> anyhow::Result<()> {
         let file = dir.join(name);
         file.exists() && std::fs::read(file).map_or(true, |there| there != *bytes)
     };
+    let index = dir.join("passages.csv");
+    if index.exists() {
+        bail!("{} is there, which the demo does not use; name a new directory with --out", index.display());
+    }
     if let Some((name, _)) = SITE.iter().find(|file| others(file)) {
         bail!(
             "{} already holds another {name}, which the demo would replace; name a new directory with --out",

@@ -21,7 +21,8 @@ pub fn explain(refusal: &Refusal) -> String {
         }
         Refusal::Offset { offset, total } => format!("byte {offset} is beyond the record's {total} bytes"),
         Refusal::Package(refusal) => format!("{}; the package in force stays", package(refusal)),
-        Refusal::Starting => "it is still reading its flash; try again in some seconds".into(),
+        Refusal::Starting => "it is still reading its flash, or its sensor gives no samples; try again in some seconds, and see the \
+             sensor errors of `cpcm node info`".into(),
         Refusal::TooLong => "its answer does not fit in a frame; report this".into(),
     }
 }

@@ -219,8 +219,8 @@ fn sensor(c: &Crossing) -> Vec<Limit> {
     ]
 }
 
-/// Track on either side of the nose that the model needs, metres: with 25 sleepers (7.2 m) the response is 0.6 % off, with 19 (5.4 m)
-/// 2 %, with 13 (3.6 m) 9 % (`docs/validation.md`).
+/// Track on either side of the crossing sleeper that the model needs, metres: with 25 sleepers (7.2 m) the response is 0.6 % off, with
+/// 19 (5.4 m) 2 %, with 13 (3.6 m) 9 % (`docs/validation.md`).
 const LEAST_TRACK_M: f64 = 7.0;
 
 /// Values that are possible one by one but not together.
@@ -234,14 +234,13 @@ fn check_relations(c: &Crossing) -> Result<(), (&'static str, String)> {
             format!("{index} must lie at least 4 sleepers inside 0 … {}", n.saturating_sub(1)),
         ));
     }
-    let (x_m, spacing_m) = (c.track.crossing_sleeper_x_m, c.track.sleeper_spacing_m);
-    let ends_m = [index as f64 * spacing_m - x_m, (n - 1 - index) as f64 * spacing_m + x_m];
+    let ends_m = [index, n - 1 - index].map(|sleepers| sleepers as f64 * c.track.sleeper_spacing_m);
     if ends_m.iter().any(|end_m| *end_m < LEAST_TRACK_M) {
         return Err((
             "track.n_sleepers",
             format!(
-                "{n} sleepers, the crossing sleeper being number {index} from 0, reach {:.1} m to one side of the nose and {:.1} m to the \
-                 other; the model needs {LEAST_TRACK_M} m on both sides, plain line included",
+                "{n} sleepers, the crossing sleeper being number {index} from 0, reach {:.2} m to one side of it and {:.2} m to the other; the \
+                 model needs {LEAST_TRACK_M} m on both sides, plain line included",
                 ends_m[0], ends_m[1]
             ),
         ));

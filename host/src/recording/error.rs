@@ -27,6 +27,9 @@ pub enum RecordingError {
     #[error("{path} is a file; name a directory for the results")]
     NotADirectory { path: PathBuf },
 
+    #[error("there is no directory {path}; create it, or name another file")]
+    NoParent { path: PathBuf },
+
     #[error("{path} is there and is no file; name another one")]
     NotAFile { path: PathBuf },
 

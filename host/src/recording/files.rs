@@ -47,8 +47,12 @@ pub(crate) fn check_dir(dir: &Path) -> Result<(), RecordingError> {
 
 /// The same of a file.
 pub(crate) fn check_file(file: &Path) -> Result<(), RecordingError> {
-    target(file)?;
-    check_dir(file.parent().map_or(Path::new("."), or_here))
+    let target = target(file)?;
+    let parent = target.parent().map_or(Path::new("."), or_here);
+    match parent.exists() {
+        true => check_dir(parent),
+        false => Err(RecordingError::NoParent { path: parent.into() }),
+    }
 }
 
 /// The empty path is the present directory.
@@ -129,6 +133,9 @@ mod tests {
         assert_eq!(std::fs::read_to_string(&file).unwrap(), "after");
         assert!(link.symlink_metadata().unwrap().file_type().is_symlink());
         assert!(matches!(check_file(dir.path()), Err(RecordingError::NotAFile { .. })));
+        check_file(&link).unwrap();
+        let nowhere = dir.path().join("new/file");
+        assert!(matches!(check_file(&nowhere), Err(RecordingError::NoParent { .. })));
         let device = Path::new("/dev/null");
         assert!(matches!(write_atomic(device, b"x"), Err(RecordingError::NotAFile { .. })));
         assert!(!device.is_file());

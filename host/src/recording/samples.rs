@@ -40,7 +40,7 @@ pub(super) fn read(source: &Source) -> Result<Vec<f32>, PassageFault> {
 
 fn from_csv(bytes: &[u8]) -> Result<Vec<f32>, PassageFault> {
     let refuse = |reason| PassageFault::SampleFile { reason };
-    let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).quoting(false).from_reader(bytes);
+    let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(bytes);
     let headers = reader.byte_headers().map_err(|e| refuse(e.to_string()))?;
     let place = headers
         .iter()
@@ -78,6 +78,16 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
+
+    /// Programs quote headers, and some all cells; a quotation mark too many makes one cell of the rest of the file.
+    #[test]
+    fn property_quoted_cells_are_read_and_damaged_ones_are_cut_in_messages() {
+        let text = "\"time, s\",\"acceleration_m_s2\"\n\"0\",\"1.5\"\n0.1,-2\n";
+        assert_eq!(from_csv(text.as_bytes()).unwrap(), [1.5, -2.0]);
+        let spoilt = format!("{COLUMN}\n1\n\"2\n{}", "3\n".repeat(10_000));
+        let refused = from_csv(spoilt.as_bytes()).unwrap_err().to_string();
+        assert!(refused.contains("sample 1 ") && refused.len() < 200, "{refused}");
+    }
 
     proptest! {
         #[test]

@@ -52,7 +52,7 @@ struct IntervalJson {
 
 #[derive(Serialize)]
 struct Passages<'a> {
-    /// That the model explains, and their wheelsets: what the numbers above are of.
+    /// That the model explains, and their wheelsets: what the numbers above are of, unless it explains none, and they are of all.
     used: usize,
     wheelsets: usize,
     /// Read, and not explained by the model (flag `unlike-model`).

@@ -33,10 +33,13 @@ impl Silence {
         now_us.saturating_sub(self.heard_us) > LONGEST_SILENCE_US
     }
 
-    /// Samples until now that nobody has accounted for.
-    pub fn missed(&self, now_us: u64) -> u32 {
+    /// Samples until now that nobody has accounted for; they are accounted for now. To be asked while the sensor is being
+    /// started as well, so that the sample count keeps the time by which a clock is set.
+    pub fn account(&mut self, now_us: u64) -> u32 {
         let missed = now_us.saturating_sub(self.accounted_us) / u64::from(SAMPLE_PERIOD_US);
-        u32::try_from(missed).unwrap_or(u32::MAX)
+        let missed = u32::try_from(missed).unwrap_or(u32::MAX);
+        self.accounted_us += u64::from(missed) * u64::from(SAMPLE_PERIOD_US);
+        missed
     }
 }
 
@@ -123,8 +126,10 @@ mod tests {
                 "{fault:?}"
             );
             bus.stuck = None;
-            now_us += 500_000;
-            counted += u64::from(silence.missed(now_us));
+            for _ in 0..3 {
+                now_us += 500_130;
+                counted += u64::from(silence.account(now_us));
+            }
             // Every sample is accounted for once.
             assert_eq!(counted, now_us / u64::from(SAMPLE_PERIOD_US), "{fault:?}");
             silence = Silence::new(now_us);

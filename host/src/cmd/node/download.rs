@@ -94,7 +94,10 @@ pub(super) fn text(out: &Path, downloaded: &Downloaded) -> String {
         count => text += &format!("{count} records have no forces; `cpcm node list` shows why\n"),
     }
     if downloaded.kept > 0 {
-        text += &format!("{} of them, from before, are not on the node any more\n", downloaded.kept);
+        text += &format!(
+            "{} of them, from before, are not on the node any more, or before what was asked for\n",
+            downloaded.kept
+        );
     }
     if let Some(path) = &downloaded.set_aside {
         text += &format!("a beginning of another download was there; it is now {}\n", path.display());

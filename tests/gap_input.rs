@@ -145,8 +145,18 @@ fn property_one_passage_is_told_to_be_too_few() {
 fn regress_quick_does_not_judge_the_catalogue() {
     let found = quick(&small("known-pad-stiffness", 6)).unwrap();
     assert_eq!(found.verdict, Verdict::Unexplained, "{:?}", found.gap);
-    assert_eq!(sentence(&found), "There is a gap; no effect was looked for (--quick).");
+    assert_eq!(sentence(&found), "There is a gap; no effect was looked for: see the notes.");
     assert!(says(&found, "--quick"), "{:?}", found.remarks);
+}
+
+/// Where nothing is looked for, a clock that the operator's speeds show to be right gave the stage, and the catalogue was said to explain
+/// nothing.
+#[test]
+fn regress_too_few_passages_point_to_no_stage() {
+    let found = full(&small("known-pad-stiffness", 3));
+    assert_eq!((found.stage, named(&found)), (None, Vec::new()), "{:?}", found.ranking);
+    assert_eq!(sentence(&found), "There is a gap; no effect was looked for: see the notes.");
+    assert!(says(&found, "too few for an interval"), "{:?}", found.remarks);
 }
 
 #[test]

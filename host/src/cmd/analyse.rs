@@ -41,7 +41,9 @@ impl AnalyseArgs {
             read_site(&self.site).with_context(|| format!("cannot read site {}", self.site.display()))?;
         warn_skipped(&site.skipped);
         check_dir(&self.out)?;
+        let read = site.skipped.len();
         let (site, included) = self.effects.included_in(site, Purpose::Analysis)?;
+        warn_skipped(&site.skipped[read..]);
         let mut analysis = pipeline::analyse(&site, &AnalyseOptions::default(), &Bar::new())
             .with_context(|| format!("cannot analyse site {}", self.site.display()))?;
         analysis.effects_included = included;

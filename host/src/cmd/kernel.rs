@@ -36,7 +36,9 @@ impl KernelArgs {
             read_site(&self.site).with_context(|| format!("cannot read site {}", self.site.display()))?;
         warn_skipped(&site.skipped);
         check_file(&self.out)?;
+        let read = site.skipped.len();
         let (site, included) = self.effects.included_in(site, Purpose::Kernel)?;
+        warn_skipped(&site.skipped[read..]);
         let package = pipeline::kernel(&site, &AnalyseOptions::default(), &Bar::new())
             .with_context(|| format!("cannot make a kernel for site {}", self.site.display()))?;
         write_atomic(&self.out, &package.bytes).context("cannot write the kernel package")?;

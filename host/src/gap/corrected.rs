@@ -63,11 +63,20 @@ pub fn corrected(
 ) -> Result<Site, CorrectionError> {
     let mut out = site.clone();
     let (mut departures, mut steps) = (Vec::new(), None);
-    for effect in effects {
+    let how = |effect: &Included| {
         let unknown = || effect.refused("it is not in the catalogue of this version");
-        match inclusion(&effect.name).ok_or_else(unknown)?.how {
-            How::Needless => {}
+        Ok::<_, CorrectionError>(inclusion(&effect.name).ok_or_else(unknown)?.how)
+    };
+    for effect in effects {
+        if let How::Added(by) = how(effect)? {
+            of_recordings(by, &mut out, effect, purpose)?;
+        }
+    }
+    for effect in effects {
+        match how(effect)? {
+            How::Needless | How::Added(_) => {}
             How::Corrected(by) => by(&mut out, effect)?,
+            How::Recorded(by) => of_recordings(by, &mut out, effect, purpose)?,
             How::Linearised(parameter, range) => {
                 departures.push(departure(effect, (parameter, range), purpose)?);
             }
@@ -81,6 +90,21 @@ pub fn corrected(
             found.ok_or_else(|| effect.refused("no steps of the baseline are found in these recordings"))?;
     }
     if departures.is_empty() { Ok(out) } else { Ok(on_linear_bed(&out, &departures, progress)?) }
+}
+
+/// Corrects recordings, but for a kernel: the node's own are like the uncorrected ones.
+fn of_recordings(
+    by: fn(&mut Site, &Included) -> Result<(), OutOfRange>,
+    site: &mut Site,
+    effect: &Included,
+    purpose: Purpose,
+) -> Result<(), CorrectionError> {
+    if purpose == Purpose::Kernel {
+        return Err(effect.refused(
+            "the node's own recordings have it, which nobody corrects; mend it, record again, and make the kernel then",
+        ));
+    }
+    Ok(by(site, effect)?)
 }
 
 /// The site without the steps of its baseline; `None` where there are none.
@@ -216,9 +240,31 @@ mod tests {
         assert!((crate::signal::rms(&part) * 2f64.sqrt() / gain - 1.0).abs() < 0.01);
         let mut tone = site();
         sine(&mut tone, 40.0);
-        let out = corrected(&tone, &[effect("tonal", &[("frequency_hz", 40.0)])]).unwrap();
-        let left: Vec<f64> = out.passages[0].acceleration_m_s2.iter().map(|v| f64::from(*v)).collect();
-        assert!(crate::signal::rms(&left) < 0.03);
+        let [tonal, clock] =
+            [effect("tonal", &[("frequency_hz", 40.0)]), effect("clock-error", &[("relative", 0.02)])];
+        // The frequency is that of the recorder's clock, whatever is named first.
+        for effects in [vec![tonal.clone()], vec![tonal.clone(), clock.clone()], vec![clock, tonal]] {
+            let out = corrected(&tone, &effects).unwrap();
+            let left: Vec<f64> = out.passages[0].acceleration_m_s2.iter().map(|v| f64::from(*v)).collect();
+            assert!(crate::signal::rms(&left) < 0.03, "{}", crate::signal::rms(&left));
+        }
+    }
+
+    /// Kernels were made of recordings without what the node's own have: force peaks were 33 % too high, or the node found no train.
+    #[test]
+    fn regress_a_kernel_of_recordings_that_a_node_does_not_have_is_refused() {
+        for (name, parameters) in [
+            ("clock-error", &[("relative", 0.02)][..]),
+            ("tonal", &[("frequency_hz", 40.0)]),
+            ("mount-resonance", &[("frequency_hz", 250.0), ("damping_ratio", 0.1)]),
+        ] {
+            let error =
+                super::corrected(&site(), &[effect(name, parameters)], Purpose::Kernel, &Silent).unwrap_err();
+            assert!(
+                error.to_string().contains(name) && error.to_string().contains("the node's own"),
+                "{error}"
+            );
+        }
     }
 
     #[test]

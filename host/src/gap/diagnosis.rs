@@ -101,8 +101,8 @@ pub struct Ranked {
 pub struct Diagnosis {
     /// The verdict.
     pub verdict: Verdict,
-    /// Whether it was asked for without a search for effects: `Unexplained` is then a gap, of which nothing has been tried.
-    pub quick: bool,
+    /// Whether effects were looked for; if not, `Unexplained` is a gap of which nothing has been tried.
+    pub searched: bool,
     /// Whether what is unexplained may be the path's, which was estimated for want of a laser scan.
     pub may_be_path: bool,
     /// Effects in the order of their discovery.
@@ -304,8 +304,7 @@ fn diagnose_trains(
     }
     let node_gap = node_gap(site);
     let mut out = session.conclude(&before, (site.scan.is_some(), node_gap), progress)?;
-    out.quick = options.quick;
-    if out.quick {
+    if options.quick {
         out.remarks.insert(0, UNSEARCHED.into());
     }
     out.skipped = site.skipped.len();

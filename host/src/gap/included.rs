@@ -59,6 +59,11 @@ pub enum How {
     Needless,
     /// Description or recordings are corrected.
     Corrected(fn(&mut Site, &Included) -> Result<(), OutOfRange>),
+    /// What a sound recorder would have recorded is put in the place of the recordings. A node has a recorder of its own, which is not
+    /// corrected.
+    Recorded(fn(&mut Site, &Included) -> Result<(), OutOfRange>),
+    /// The same of what the recorder adds: by its own clock, and so before that is put right.
+    Added(fn(&mut Site, &Included) -> Result<(), OutOfRange>),
     /// Recordings are made those of a linear bed. The effect's main parameter, and what it may be.
     Linearised(&'static str, [f64; 2]),
     /// Its steps are found in each recording, and taken off.

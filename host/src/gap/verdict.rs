@@ -50,12 +50,16 @@ pub fn verdict(gap: &Gap, effects: &[Named], denied: bool) -> Verdict {
     }
 }
 
-/// Stage that a gap points to.
+/// Stage that a gap points to, by the best of what was tried and not named; what is known of the recorder was not tried.
 pub fn stage(verdict: Verdict, effects: &[Named], ranking: &[Ranked]) -> Option<Stage> {
     match (verdict, effects.first()) {
         (Verdict::NoGap, _) => None,
         (_, Some(first)) => Some(first.stage),
-        (_, None) => ranking.iter().max_by(|a, b| a.gain.total_cmp(&b.gain)).map(|r| r.stage),
+        (_, None) => ranking
+            .iter()
+            .filter(|r| r.gain.is_finite())
+            .max_by(|a, b| a.gain.total_cmp(&b.gain))
+            .map(|r| r.stage),
     }
 }
 

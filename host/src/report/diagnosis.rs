@@ -67,11 +67,11 @@ pub fn sentence(d: &Diagnosis) -> String {
         Verdict::Unexplained if d.may_be_path => {
             "What the model leaves may be the path, which was estimated for want of a laser scan: see the notes.".into()
         }
-        Verdict::Unexplained if d.quick && closed(&d.gap) => {
+        Verdict::Unexplained if !d.searched && closed(&d.gap) => {
             "The gap is hardly larger than what differs from bogie to bogie, but something speaks against the model: see the notes."
                 .into()
         }
-        Verdict::Unexplained if d.quick => "There is a gap; no effect was looked for (--quick).".into(),
+        Verdict::Unexplained if !d.searched => "There is a gap; no effect was looked for: see the notes.".into(),
         Verdict::Unexplained if closed(&d.gap) => {
             "The gap is hardly larger than what differs from bogie to bogie, but something acts that nothing in the catalogue explains: see \
              the notes."
@@ -227,7 +227,11 @@ fn ranking(d: &Diagnosis) -> String {
     let rows: Vec<Vec<String>> = d
         .ranking
         .iter()
-        .map(|r| vec![r.name.into(), format!("{:.3}", r.probability), format!("{:.1}", r.gain)])
+        .map(|r| {
+            // What is known of the recorder has no gain.
+            let gain = if r.gain.is_finite() { format!("{:.1}", r.gain) } else { "-".into() };
+            vec![r.name.into(), format!("{:.3}", r.probability), gain]
+        })
         .collect();
     format!("<h2>All effects</h2>\n{}", table(&["effect", "probability", "gain in log evidence"], &rows))
 }

@@ -25,6 +25,9 @@ const CALIBRATED: f64 = 2.0;
 /// there to count.
 const MOST_SURE_WITHOUT_SCAN: f64 = 0.5;
 
+/// Held-out passages from which a bootstrap is worth something.
+const LEAST_HELD_OUT: usize = 4;
+
 impl Session<'_> {
     pub(super) fn conclude(
         mut self,
@@ -37,6 +40,16 @@ impl Session<'_> {
         progress.step();
         if self.search_without_withdrawn(&gap, progress)? {
             (predicted, gap) = self.settle(base_world)?;
+        }
+        if self.split.train == self.split.test {
+            self.remarks.push(
+                "too few passages to hold any out: gap and part closed are those of passages that the model was fitted to".into(),
+            );
+        } else if self.split.test.len() < LEAST_HELD_OUT {
+            let n = self.split.test.len();
+            self.remarks.push(format!(
+                "{n} held-out passages are too few for an interval of what is closed: the one stated is too narrow"
+            ));
         }
         let after_state = self.state();
         let after_world = after_state.world(&self.base.frame, &self.accepted);
@@ -76,12 +89,14 @@ impl Session<'_> {
             .or((track == Some(Agreement::Differs)).then_some(Stage::Track))
             .filter(|_| verdict == Verdict::Unexplained && self.named.is_empty());
         let foreign = self.foreign_scan.then_some(Stage::Geometry);
-        let stage =
-            foreign.or(denied).or_else(|| crate::gap::verdict::stage(verdict, &self.named, &self.ranking));
+        let stage = {
+            let tried = if self.searched { &self.ranking[..] } else { &[] };
+            foreign.or(denied).or_else(|| crate::gap::verdict::stage(verdict, &self.named, tried))
+        };
         progress.step();
         Ok(Diagnosis {
             verdict,
-            quick: false,
+            searched: self.searched,
             may_be_path: may_be_path && denials.iter().all(|d| d.of_path),
             stage,
             effects: if verdict == Verdict::NoGap { Vec::new() } else { self.named },

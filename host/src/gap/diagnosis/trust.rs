@@ -48,6 +48,15 @@ impl Session<'_> {
         };
         let observed = &self.base.frame.observed;
         let mut say = |text: &str| self.remarks.push(text.into());
+        let kind = &site.crossing.vehicle.kind;
+        let others = site.passages.iter().filter(|p| p.train_type != *kind);
+        let others: Vec<String> = others.map(|p| format!("{} ({})", p.passage_id, p.train_type)).collect();
+        if !others.is_empty() {
+            say(&format!(
+                "passages {} are of other trains than the {kind} of crossing.toml, by whose axles they are judged: leave them out",
+                others.join(", ")
+            ));
+        }
         if observed.len() < 6 {
             say(
                 "few passages: effects that vary from train to train cannot be told from chance; record at least 12",

@@ -5,7 +5,7 @@
 //! and path take over most of what it does to the recordings. Range: a broken crystal or a wrong divider.
 
 use crate::gap::effect::{Advice, Effect, Parameter, Scale, Stage, Witness};
-use crate::gap::included::Inclusion;
+use crate::gap::included::{How, Inclusion};
 use crate::gap::world::World;
 use crate::recording::Passage;
 use crate::signal::resample;
@@ -42,14 +42,15 @@ impl Effect for ClockError {
     }
 
     fn inclusion(&self) -> Inclusion {
-        Inclusion::corrected(
-            "Forces: `--with-effects` takes the error out of the recordings.",
-            |site, effect| {
-                let relative = effect.value("relative", [-0.1, 0.1])?;
-                site.passages.iter_mut().for_each(|p| to_true_time(p, relative));
-                Ok(())
-            },
-        )
+        let how = How::Recorded(|site, effect| {
+            let relative = effect.value("relative", [-0.1, 0.1])?;
+            site.passages.iter_mut().for_each(|p| to_true_time(p, relative));
+            Ok(())
+        });
+        Inclusion {
+            does: Some("Forces: `analyse --with-effects` takes the error out of the recordings."),
+            how,
+        }
     }
 
     fn parameters(&self) -> &'static [Parameter] {

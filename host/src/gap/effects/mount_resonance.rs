@@ -55,7 +55,7 @@ impl Effect for MountResonance {
 
     /// What it does above its resonance is lost.
     fn inclusion(&self) -> Inclusion {
-        let how = How::Corrected(|site, effect| {
+        let how = How::Recorded(|site, effect| {
             let frequency_hz = effect.value("frequency_hz", [20.0, 5000.0])?;
             let damping = effect.value("damping_ratio", [1e-3, 2.0])?;
             site.passages.iter_mut().for_each(|p| without_mount(p, frequency_hz, damping));

@@ -6,7 +6,7 @@
 use crate::gap::effect::{Advice, Effect, Hints, MODEL_ERROR, Parameter, Scale, Stage};
 use crate::gap::included::Inclusion;
 use crate::gap::world::World;
-use crate::recording::{Passage, Site};
+use crate::recording::{Passage, Site, Skipped};
 
 /// See the module.
 pub struct Saturation;
@@ -86,6 +86,14 @@ fn leave_out_clipped(site: &mut Site, range_m_s2: f64) {
     let sound = site.passages.iter().filter(|p| !clipped(p)).count();
     site.crossing.sensor.range_m_s2 = site.crossing.sensor.range_m_s2.min(range_m_s2);
     if sound >= LEAST_PASSAGES {
+        let left_out = site.passages.iter().enumerate().filter(|(_, p)| clipped(p));
+        site.skipped.extend(left_out.map(|(row, p)| Skipped {
+            passage_id: Some(p.passage_id),
+            row,
+            reason: format!(
+                "clipped at {range_m_s2:.1} m/s² (saturation is included); the others have the lower peaks"
+            ),
+        }));
         site.passages.retain(|p| !clipped(p));
     }
 }
@@ -102,6 +110,18 @@ mod tests {
         assert!(!Saturation.possible(&[23.5], &hints(88.0)));
         assert!(!Saturation.possible(&[20.3], &hints(25.0)));
         assert!(Saturation.possible(&[79.0], &hints(80.9)));
+    }
+
+    /// They were gone without a word.
+    #[test]
+    fn regress_clipped_recordings_that_are_left_out_are_listed() {
+        let dir = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/data/field/reference-1");
+        let mut site = crate::recording::read_site(&dir).unwrap();
+        let all = site.passages.len();
+        leave_out_clipped(&mut site, 183.0);
+        assert!(site.passages.len() < all && site.passages.len() >= LEAST_PASSAGES);
+        assert_eq!(site.passages.len() + site.skipped.len(), all);
+        assert!(site.skipped.iter().all(|s| s.reason.contains("clipped at 183.0")), "{:?}", site.skipped);
     }
 
     /// Steps of the baseline and interference come behind the transducer.

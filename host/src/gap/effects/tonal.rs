@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use crate::gap::data::{Observed, QUIET_S, QuietEnd, RATE_HZ};
 use crate::gap::effect::{Advice, Stage};
 use crate::gap::forward::BAND_HZ;
-use crate::gap::included::Inclusion;
+use crate::gap::included::{How, Inclusion};
 use crate::gap::latent::{Latent, LatentFit, Scene};
 use crate::recording::Passage;
 use crate::signal::{centre, dot};
@@ -206,11 +206,12 @@ impl Latent for Tonal {
     }
 
     fn inclusion(&self) -> Inclusion {
-        Inclusion::corrected("Until then `--with-effects` takes it out of the recordings.", |site, effect| {
+        let how = How::Added(|site, effect| {
             let frequency_hz = effect.value("frequency_hz", [1.0, 2000.0])?;
             site.passages.iter_mut().for_each(|p| without_tone(p, frequency_hz));
             Ok(())
-        })
+        });
+        Inclusion { does: Some("Until then `analyse --with-effects` takes it out of the recordings."), how }
     }
 
     fn explore(&self, scene: &Scene) -> Option<LatentFit> {

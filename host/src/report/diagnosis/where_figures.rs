@@ -14,7 +14,7 @@ pub(super) fn all(d: &Diagnosis) -> Result<Vec<Figure>, ReportError> {
     let mut out = vec![residual_map(d)?, frequency_map(d)?];
     if let Some([position, time]) = d.collapse {
         let (track, clock) = ("along the track", "in time");
-        let in_time = |r: &Residual| 1.0 / r.speed_m_s;
+        let in_time = |r: &Residual| direction(r) / r.speed_m_s;
         out.push(laid_over(d, (track, "x of the front axle, m"), position, &|_| 1.0)?);
         out.push(laid_over(d, (clock, "time after the front axle is at x = 0, s"), time, &in_time)?);
     }
@@ -29,6 +29,14 @@ pub(super) fn all(d: &Diagnosis) -> Result<Vec<Figure>, ReportError> {
     }
     out.push(bogies(d)?);
     Ok(out)
+}
+
+/// Sign of the travel along x.
+fn direction(r: &Residual) -> f64 {
+    match r.position_m.as_slice() {
+        [first, .., last] => (last - first).signum(),
+        _ => 1.0,
+    }
 }
 
 type Covariate = fn(&Residual) -> f64;

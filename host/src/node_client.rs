@@ -41,6 +41,13 @@ pub struct Patience {
     pub reopenings: u32,
 }
 
+impl Patience {
+    /// Wait for an answer after `failed` attempts without one: twice as long each time, whatever the reason.
+    fn wait(&self, failed: u32) -> Duration {
+        (self.first * 2_u32.saturating_pow(failed.min(16))).min(self.longest)
+    }
+}
+
 impl Default for Patience {
     fn default() -> Self {
         // The longest answer takes 0.1 s at 115200 baud; erasing a sector of flash up to 0.4 s.
@@ -91,8 +98,7 @@ impl NodeClient {
         for attempt in 0..self.patience.attempts {
             // The time is that of sending, so each attempt has its own.
             let unix_us = now_us();
-            let first = (self.patience.first * 2_u32.pow(attempt.min(16))).min(self.patience.longest);
-            let once = Patience { attempts: 1, first, ..self.patience };
+            let once = Patience { attempts: 1, first: self.patience.wait(attempt), ..self.patience };
             last = self.ask_with(once, Request::SetClock { unix_us }, |reply| {
                 if let Reply::ClockSet(set) = reply { Some(set) } else { None }
             });
@@ -194,9 +200,7 @@ impl NodeClient {
         let frame = framed(self.next_id, request)?;
         let (mut unanswered, mut reopened) = (0, 0);
         loop {
-            // Twice as long each time, whatever the reason.
-            let wait = patience.first * 2_u32.saturating_pow((unanswered + reopened).min(16));
-            let wait = wait.min(patience.longest);
+            let wait = patience.wait(unanswered + reopened);
             match self.exchange(&frame, wait, &mut pick) {
                 Ok(Some(answer)) => return Ok(answer),
                 Ok(None) => unanswered += 1,

@@ -296,8 +296,7 @@ fn ballast_estimate(identified: &IdentifiedSite, passages: &[PassageResult]) -> 
     let fit = &identified.ballast;
     let p = fit.parameters;
     let sd = |i: usize| HALF_WIDTH_90 * fit.covariance[i][i].sqrt();
-    let log =
-        |value: f64, i: usize| Interval { value, lower: value * (-sd(i)).exp(), upper: value * sd(i).exp() };
+    let log = |value: f64, i: usize| around(value, sd(i));
     let stiffness_n_m2 = sleeper_intervals(&p, &fit.covariance, &identified.track);
     let difference: Vec<f64> = explained(passages)
         .into_iter()
@@ -316,6 +315,11 @@ fn ballast_estimate(identified: &IdentifiedSite, passages: &[PassageResult]) -> 
     }
 }
 
+/// A value that is positive, with an interval of half width `half` in its logarithm.
+fn around(value: f64, half: f64) -> Interval {
+    Interval { value, lower: value * (-half).exp(), upper: value * half.exp() }
+}
+
 /// Stiffness of every sleeper with the interval that follows from the covariance of (ln p1, ln p2, p3), to first order and in the
 /// logarithm, as those of p1 and p2 are.
 fn sleeper_intervals(p: &BallastParameters, covariance: &[[f64; 3]; 3], track: &Track) -> Vec<Interval> {
@@ -327,7 +331,7 @@ fn sleeper_intervals(p: &BallastParameters, covariance: &[[f64; 3]; 3], track: &
             .map(|(i, j)| gradient[i] * covariance[i][j] * gradient[j])
             .sum();
         let half = HALF_WIDTH_90 * variance.max(0.0).sqrt();
-        Interval { value, lower: value * (-half).exp(), upper: value * half.exp() }
+        around(value, half)
     };
     p.bed(track).into_iter().enumerate().map(interval).collect()
 }

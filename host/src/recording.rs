@@ -17,11 +17,12 @@ pub mod truth;
 
 use std::path::Path;
 
-pub use check::{MAX_PASSAGES, MAX_SAMPLES, check_passage};
+pub use check::{MAX_PASSAGES, MAX_SAMPLES, TEMPERATURE_C, check_passage};
 pub use crossing::*;
 pub use crossing_file::check_crossing;
 pub use error::{PassageFault, RecordingError};
 pub use guard::silence_guarded_panics;
+pub use scan::POSITION_M;
 
 /// One crossing panel recorded over a number of train passages.
 #[derive(Clone, Debug)]

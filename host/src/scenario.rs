@@ -6,6 +6,7 @@ pub mod effects;
 mod file;
 mod generate;
 mod geometry;
+mod limits;
 
 pub use effects::Effects;
 pub use file::{

@@ -147,7 +147,7 @@ fn departure(
 mod tests {
     use std::path::Path;
 
-    use super::super::effects::{COMMON, LATENT};
+    use super::super::effects::names;
     use super::*;
     use crate::ballast::BallastParameters;
     use crate::progress::Silent;
@@ -269,8 +269,7 @@ mod tests {
 
     #[test]
     fn property_effects_that_are_included_are_in_the_catalogue() {
-        let names: Vec<&str> =
-            COMMON.iter().map(|e| e.name()).chain(LATENT.iter().map(|e| e.name())).collect();
+        let names: Vec<&str> = names().collect();
         let does = |name: &str| inclusion(name).and_then(|i| i.does);
         let told: Vec<&&str> = names.iter().filter(|name| does(name).is_some()).collect();
         // Wheels and the stock rail need no inclusion; what a mount does above its resonance is lost.

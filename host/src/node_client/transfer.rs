@@ -226,7 +226,7 @@ impl NodeClient {
         let mut begun_before = !part.tail.is_empty();
         loop {
             self.read_rest(entry, part, pieces, progress)?;
-            let found = part.tail.last_chunk().map_or(0, |crc| u32::from_le_bytes(*crc));
+            let found = crc_of(&part.tail);
             if found == entry.crc && verified(&part.tail).is_some() {
                 part.complete_record();
                 return Ok(());

@@ -14,7 +14,7 @@ const SPEED_M_S: (f64, f64) = (5.0, 90.0);
 /// Empty light axle to heavy-haul axle, kg. Rules out tonnes (below) and newtons (above).
 const AXLE_LOAD_KG: (f64, f64) = (4_000.0, 45_000.0);
 /// At the sensor, °C. Rules out kelvin.
-const TEMPERATURE_C: (f64, f64) = (-60.0, 90.0);
+pub const TEMPERATURE_C: (f64, f64) = (-60.0, 90.0);
 /// Sampling rates agree when they differ by less than this; a real clock error is not visible here, because
 /// both numbers are nominal.
 const RATE_TOLERANCE: f64 = 1e-3;

@@ -6,7 +6,7 @@ use super::files::{read_bytes, write_atomic};
 use super::{RecordingError, Scan};
 
 /// A scan is a few metres long around the nose tip.
-const POSITION_M: f64 = 50.0;
+pub const POSITION_M: f64 = 50.0;
 /// Deepest irregularity of a crossing, metres; 1.4 mm written in mm exceeds it.
 const IRREGULARITY_M: f64 = 0.05;
 /// Largest step between two points, metres: 250 Hz at 50 m/s is a wavelength of 200 mm.

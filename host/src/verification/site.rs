@@ -16,8 +16,9 @@ use crate::identify::{IdentifiedSite, identify};
 use crate::pipeline::{PipelineError, evaluate};
 use crate::progress::Progress;
 use crate::recording::Site;
-use crate::recording::truth::Truth;
+use crate::recording::truth::{Side, Truth, WheelTruth};
 use crate::scoring::{Score, score};
+use crate::vehicle::AxlePattern;
 
 /// Scores of all methods on one site.
 pub struct SiteMethods {
@@ -68,6 +69,14 @@ fn analyses_of(identified: &IdentifiedSite, progress: &dyn Progress) -> Result<S
 
 /// Analyses a site by all methods and scores them.
 pub fn site_methods(site: &Site, truth: &Truth, progress: &dyn Progress) -> Result<SiteMethods, VerifyError> {
+    let axles = AxlePattern::of_vehicle(&site.crossing.vehicle).offset_m.len();
+    let known = |w: &WheelTruth| {
+        let of_a_train = site.passages.iter().any(|p| p.passage_id == w.passage_id);
+        w.side == Side::Crossing && w.wheelset < axles && of_a_train
+    };
+    if !truth.wheels.iter().any(known) {
+        return Err(VerifyError::NoTruth);
+    }
     let identified = identify(site, progress).map_err(PipelineError::from)?;
     let all = analyses_of(&identified, progress)?;
     let p = all.quasi_static;
@@ -78,9 +87,6 @@ pub fn site_methods(site: &Site, truth: &Truth, progress: &dyn Progress) -> Resu
     let known_geometry = known_geometry::calibrate(site, BallastParameters::NOMINAL)?;
     progress.step();
     let methods: Vec<(&str, Score)> = all.methods.iter().map(|(name, a)| (*name, score(a, truth))).collect();
-    if methods.iter().any(|(_, score)| score.peak.is_empty()) {
-        return Err(VerifyError::NoTruth);
-    }
     let reached = methods.first().map(|m| m.1.clone()).ok_or(VerifyError::Empty("list of methods"))?;
     Ok(SiteMethods {
         limits: PeakLimits::new(identified, analysis, reached, truth, progress)?,

@@ -6,6 +6,7 @@ use cpcm::gap::GapError;
 use cpcm::gap::diagnosis::{DiagnoseOptions, Diagnosis, diagnose};
 use cpcm::gap::effects::names;
 use cpcm::gap::trial::scenario_of;
+use cpcm::gap::verdict::Verdict;
 use cpcm::progress::Silent;
 use cpcm::recording::{Site, read_site};
 use cpcm::scenario::{Scenario, simulate};
@@ -51,6 +52,17 @@ pub fn named(found: &Diagnosis) -> Vec<&'static str> {
 /// Whether a remark of a diagnosis holds a word.
 pub fn says(found: &Diagnosis, word: &str) -> bool {
     found.remarks.iter().any(|r| r.contains(word))
+}
+
+/// The whole diagnosis of field recordings without an effect: no gap, a clock that is right, and wheels that differ as sound ones do; among
+/// the references are wheels that lose contact, whose scatter is large for another reason.
+pub fn assert_sound(name: &str) {
+    let found = full(&field(name));
+    assert_eq!(found.verdict, Verdict::NoGap, "{name}: {:?} {:?}", named(&found), found.remarks);
+    assert!(found.wheels.unnatural().is_none(), "{name}: {:?}", found.wheels);
+    for word in ["wheels differ", "clock is off by"] {
+        assert!(!says(&found, word), "{name}: {:?}", found.remarks);
+    }
 }
 
 /// Scenario of a trial's site without the effects that are drawn there, which must be `drawn`: tests put in their own.

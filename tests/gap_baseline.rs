@@ -2,7 +2,7 @@
 
 use cpcm::scenario::Effects;
 use cpcm::scenario::effects::{BallastStiffening, BiasSteps, VoidedSleepers};
-use cpcm_tests::diagnosed::{among, named, recorded, trial};
+use cpcm_tests::diagnosed::{among, few, named, trial};
 use cpcm_tests::tolerance;
 
 /// Steps moved speeds by two percent and axles by a car, so that passages did not resemble one another and nothing was looked for; what
@@ -16,7 +16,7 @@ fn regress_stiffening_ballast_is_named_beside_steps_of_the_baseline() {
         bias_step: Some(truth),
         ..Effects::default()
     };
-    let found = among(&recorded(&scenario), &["ballast-stiffening", "bias-step"]);
+    let found = among(&few(&scenario), &["ballast-stiffening", "bias-step"]);
     assert_eq!(named(&found), ["bias-step", "ballast-stiffening"], "{:?} {:?}", found.verdict, found.remarks);
     assert!(found.gap.closed_fraction > tolerance::BESIDE_STEPS_CLOSED, "{:?}", found.gap);
     let value = |name: &str| found.effects[0].parameters.iter().find(|p| p.0 == name).unwrap().1;
@@ -34,7 +34,7 @@ fn regress_steps_of_the_baseline_are_named_beside_voids() {
         bias_step: Some(BiasSteps { step_m_s2: 5.277, decay_s: 0.186 }),
         ..Effects::default()
     };
-    let found = among(&recorded(&scenario), &["voided-sleepers", "bias-step"]);
+    let found = among(&few(&scenario), &["voided-sleepers", "bias-step"]);
     assert_eq!(named(&found), ["bias-step", "voided-sleepers"], "{:?} {:?}", found.verdict, found.remarks);
     assert!(found.gap.closed_fraction > tolerance::STEPS_BESIDE_VOIDS_CLOSED, "{:?}", found.gap);
 }

@@ -2,12 +2,14 @@
 
 use cpcm::gap::diagnosis::Diagnosis;
 use cpcm::gap::effects::advice;
-use cpcm::gap::verdict::Verdict;
-use cpcm_tests::diagnosed::{field, full, named};
+use cpcm_tests::diagnosed::{assert_sound, field, full, named};
 use cpcm_tests::tolerance;
 
 /// Most effects in a group that is not told apart.
 const LARGEST_GROUP: usize = 3;
+
+/// Of known-clock-error, by its truth.toml.
+const CLOCK_ERROR: f64 = 0.015;
 
 /// Part of the load that known-load-transfer has on the other rail, by its truth.toml.
 const LOAD_TRANSFER: f64 = 0.12;
@@ -25,9 +27,13 @@ fn assert_named(effect: &str) -> Diagnosis {
     found
 }
 
+/// Fitted to the recordings, the clock was 0.9 to 1.3 % off here, and a crossing rail took its place on a trial with 1.4 %.
 #[test]
-fn reference_clock_error_is_named() {
-    assert_named("clock-error");
+fn reference_a_clock_is_as_wrong_as_the_operator_shows() {
+    let found = assert_named("clock-error");
+    assert_eq!(named(&found), ["clock-error"]);
+    let (_, _, low, high) = found.effects[0].parameters[0];
+    assert!(low < CLOCK_ERROR && CLOCK_ERROR < high, "{low} … {high}");
 }
 
 #[test]
@@ -65,8 +71,6 @@ fn reference_wheel_out_of_roundness_is_named() {
 
 #[test]
 fn reference_recordings_without_an_effect_have_no_gap() {
-    for site in ["reference-1", "reference-3"] {
-        let found = full(&field(site));
-        assert_eq!(found.verdict, Verdict::NoGap, "{site}: {:?} {:?}", named(&found), found.remarks);
-    }
+    assert_sound("reference-1");
+    assert_sound("reference-3");
 }

@@ -108,8 +108,10 @@ fn property_a_void_under_five_sleepers_is_taken_off_as_one() {
 fn reference_ballast_below_a_void() {
     let name = "known-voided-sleepers";
     let [true_p1, true_p2, _] = read_site_truth(&field(name)).unwrap().ballast.p1_p2_p3.unwrap();
-    let site = including(&read_site(&field(name)).unwrap(), "voided-sleepers", "gap_m", 0.764e-3);
-    let ballast = analysed(&site).ballast;
+    let mut site = read_site(&field(name)).unwrap();
+    // Those of which the fit over the void takes every one.
+    site.passages = site.passages.into_iter().step_by(2).collect();
+    let ballast = analysed(&including(&site, "voided-sleepers", "gap_m", 0.764e-3)).ballast;
     let (p1, p2) = (ballast.p1_n_m2.value, ballast.p2_n_m2);
     println!(
         "p1 {:.1}, p2 {:.1} ({:.1} … {:.1}) MN/m2",

@@ -36,6 +36,7 @@ use crate::reconstruct::flat_top_m_s2;
 use crate::recording::Site;
 pub use alternatives::Alternative;
 use recorder::Recorder;
+use trust::LeftOut;
 
 /// Choices of a diagnosis.
 #[derive(Clone, Debug, Default)]
@@ -287,10 +288,9 @@ fn diagnose_trains(
         searched = false;
     }
     searched &= session.well_described(site) && session.trustworthy(site);
-    if !session.other_way.is_empty() {
-        let other_way = std::mem::take(&mut session.other_way);
-        let mut out = diagnose(&without(site, &other_way), options, progress)?;
-        out.remarks.insert(0, trust::left_out(&other_way, site.crossing.traffic_direction));
+    if let Some(LeftOut { passage_id, remark }) = session.left_out.take() {
+        let mut out = diagnose(&without(site, &passage_id), options, progress)?;
+        out.remarks.insert(0, remark);
         out.seconds = clock.elapsed().as_secs_f64();
         return Ok(out);
     }
@@ -360,8 +360,7 @@ struct Session<'a> {
     withdrawn: Vec<&'static str>,
     foreign_scan: bool,
     misdescribed: bool,
-    /// Passages of trains that run in the other direction, without which the site is to be diagnosed.
-    other_way: Vec<i32>,
+    left_out: Option<LeftOut>,
     /// The recordings or the scan cannot be what they are said to be: no gap of theirs means anything.
     untrusted: bool,
     /// Range of a transducer that clips, m/s², in the catalogue or not.
@@ -402,7 +401,7 @@ impl<'a> Session<'a> {
             withdrawn: Vec::new(),
             foreign_scan: false,
             misdescribed: false,
-            other_way: Vec::new(),
+            left_out: None,
             untrusted: false,
             clips_at_m_s2: None,
             scatter: (0.0, 0.0),

@@ -25,9 +25,10 @@ const CLEARED: f64 = 0.25;
 /// What stands in for errors of a path that was estimated for want of a scan: beside clipping, voids and a wrong clock, and alone.
 const OF_THE_PATH: [&str; 2] = ["stock-irregularity", "wheel-flat"];
 
-/// What is said of trains in the other direction that a diagnosis has left out.
-pub(super) fn left_out(other_way: &[i32], described: TrafficDirection) -> String {
-    format!("{}; they are left out", other_direction(other_way, described))
+/// Passages without which a site is to be diagnosed, and why.
+pub(super) struct LeftOut {
+    pub passage_id: Vec<i32>,
+    pub remark: String,
 }
 
 fn other_direction(other_way: &[i32], described: TrafficDirection) -> String {
@@ -103,7 +104,7 @@ impl Session<'_> {
 
     /// Whether passages do not resemble one another.
     pub(super) fn mixed(&self) -> bool {
-        Strangers::among(&self.base.frame.observed).matter()
+        !Strangers::among(&self.base.frame.observed).passage_id.is_empty()
     }
 
     /// Whether the panel is as crossing.toml has it. What is wrong is said.
@@ -143,7 +144,8 @@ impl Session<'_> {
             return true;
         }
         if as_described.iter().filter(|a| **a == Some(true)).count() >= LEAST_PASSAGES {
-            self.other_way = other;
+            let remark = format!("{}; they are left out", other_direction(&other, described));
+            self.left_out = Some(LeftOut { passage_id: other, remark });
         } else {
             self.follows_from(format!("{}; no effect is looked for", other_direction(&other, described)));
         }
@@ -177,6 +179,17 @@ impl Session<'_> {
                  sort them, no effect is looked for",
                 strangers.passage_id
             ));
+            return false;
+        }
+        // Clipping makes strangers of recordings of the same trains.
+        let few_left = observed.len() < LEAST_PASSAGES + strangers.passage_id.len();
+        if !strangers.passage_id.is_empty() && !few_left && self.clips_at_m_s2.is_none() {
+            let passage_id = strangers.passage_id;
+            let remark = format!(
+                "passages {passage_id:?} do not resemble the others: other trains, another place, or damaged recordings; they are left out, \
+                 look at them"
+            );
+            self.left_out = Some(LeftOut { passage_id, remark });
             return false;
         }
         if site.scan.is_none() && observed.iter().all(|o| o.operator_m_s.is_none()) {

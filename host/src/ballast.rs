@@ -108,7 +108,7 @@ mod tests {
     }
 
     #[test]
-    fn analytic_slopes_of_the_distribution() {
+    fn property_slopes_of_the_distribution() {
         let p = BallastParameters { p1_n_m2: 30e6, p2_n_m2: 18e6, p3: 0.35 };
         let slopes = p.slopes(9, 4);
         for (k, slope) in slopes.iter().enumerate() {

@@ -87,9 +87,12 @@ mod tests {
     fn property_every_subcommand_has_an_example() {
         let mut cli = Cli::command();
         cli.build();
-        for sub in cli.get_subcommands_mut().filter(|s| s.get_name() != "help") {
-            let help = sub.render_long_help().to_string();
-            assert!(help.contains("Example"), "{}", sub.get_name());
-        }
+        assert_has_example(&mut cli);
+    }
+
+    fn assert_has_example(command: &mut clap::Command) {
+        let help = command.render_long_help().to_string();
+        assert!(help.contains("Example"), "{}", command.get_name());
+        command.get_subcommands_mut().filter(|s| s.get_name() != "help").for_each(assert_has_example);
     }
 }

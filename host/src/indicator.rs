@@ -139,3 +139,83 @@ pub fn first_mode(curves: &[&[f64]], len: usize) -> Vec<f64> {
     let size = svd.S().column_vector()[0] * weight;
     (0..len).map(|i| svd.U()[(i, 0)] * size).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::analysis::Interval;
+
+    /// Indicators of one wheel, as shares of their thresholds.
+    fn of_wheel([force, irregularity]: [f64; 2], flags: &[&str]) -> Indicators {
+        let static_n = 76e3;
+        let peak_n = force * PEAK_RATIO_THRESHOLD * static_n;
+        let wheelset = WheelsetResult {
+            wheelset: 0,
+            position_m: vec![0.0],
+            contact_force_n: vec![peak_n],
+            lower_n: vec![peak_n],
+            upper_n: vec![peak_n],
+            peak_force_n: Interval { value: peak_n, lower: peak_n, upper: peak_n },
+            peak_position_m: 0.0,
+            irregularity_m: vec![0.0],
+            irregularity_rms_m: irregularity * IRREGULARITY_RMS_THRESHOLD_M,
+            flags: flags.iter().map(|f| (*f).into()).collect(),
+        };
+        let passage = PassageResult {
+            passage_id: 0,
+            speed_m_s: 40.0,
+            temperature_c: 10.0,
+            axle_times_s: vec![0.5],
+            trace_rate_hz: 1000.0,
+            acceleration_m_s2: Vec::new(),
+            displacement_m: Vec::new(),
+            model_displacement_m: Vec::new(),
+            wheelsets: vec![wheelset],
+        };
+        indicators(&[passage], &[0.0], static_n)
+    }
+
+    #[test]
+    fn property_condition_urgency_and_advice_follow_from_both_thresholds() {
+        use Condition::{Damaged, Healthy, Watch};
+        let (dip, scan) = ("Inspect the transition for a short dip", "Measure the crossing geometry");
+        for (shares, condition, urgency, advice) in [
+            ([0.5, 0.5], Healthy, "none", "No action."),
+            ([0.89, 0.89], Healthy, "none", "No action."),
+            ([0.91, 0.5], Watch, "schedulable", dip),
+            ([0.5, 0.91], Watch, "schedulable", scan),
+            ([1.01, 0.99], Watch, "schedulable", dip),
+            ([0.5, 1.5], Watch, "schedulable", scan),
+            ([1.01, 1.01], Damaged, "urgent: days", "Inspect the crossing now"),
+        ] {
+            let found = of_wheel(shares, &[]);
+            assert_eq!((found.condition, found.urgency.as_str()), (condition, urgency), "{shares:?}");
+            assert!(found.recommended_action.starts_with(advice), "{shares:?}: {}", found.recommended_action);
+        }
+    }
+
+    #[test]
+    fn property_a_doubt_leaves_nothing_healthy_and_what_is_damaged_so() {
+        let healthy = of_wheel([0.5, 0.5], &[CLIPPED]);
+        assert_eq!((healthy.condition, healthy.recommended_action.as_str()), (Condition::Watch, CUT_OFF));
+        let damaged = of_wheel([1.5, 1.5], &[CLIPPED]);
+        assert_eq!((damaged.condition, damaged.urgency.as_str()), (Condition::Damaged, "urgent: days"));
+        assert!(damaged.recommended_action.ends_with(CUT_OFF), "{}", damaged.recommended_action);
+    }
+
+    /// Of rank one: the singular vectors are the curve and the sizes, and their signs cancel.
+    #[test]
+    fn analytic_first_mode_of_one_curve_in_many_sizes_is_the_curve_in_their_mean_size() {
+        let curve: [f64; 4] = [1.0, -2.0, 0.5, 3.0];
+        let curves = [0.5, 2.0, -1.0, 1.5].map(|size| curve.map(|v| size * v));
+        let mut all: Vec<&[f64]> = curves.iter().map(|c| c.as_slice()).collect();
+        // Left out.
+        all.push(&curve[..3]);
+        let mode = first_mode(&all, 4);
+        assert_eq!(mode.len(), 4);
+        for (found, value) in mode.iter().zip(curve) {
+            assert!((found - 0.75 * value).abs() < 1e-12, "{mode:?}");
+        }
+        assert_eq!(first_mode(&[], 2), [0.0, 0.0]);
+    }
+}

@@ -206,6 +206,12 @@ impl Verification {
     }
 }
 
+/// The largest of some values; NaN where one is NaN, which `f64::max` would drop and a check would pass, and of nothing at all.
+fn largest(values: impl IntoIterator<Item = f64>) -> f64 {
+    let larger = |a: f64, b: f64| if a.is_nan() || a > b { a } else { b };
+    values.into_iter().reduce(larger).unwrap_or(f64::NAN)
+}
+
 /// Scores the analysis and two chains of methods on a site with truth, and adds the table; with it the numpy baseline,
 /// where there is one. A second table says what noise and spread allow.
 pub fn add_site(
@@ -270,5 +276,14 @@ mod tests {
         let worst = Case::new("", "", "m").worst(&[1.0, 2.0], &[1.001, 2.5], 0.01);
         assert_eq!((worst.expected, worst.found), (2.0, 2.5));
         assert!(!Case::new("", "", "m").worst(&[], &[], 0.01).passed(), "nothing compared is no pass");
+    }
+
+    #[test]
+    fn property_the_largest_is_nan_where_a_value_is_or_none_is_there() {
+        assert_eq!(largest([1.0, 3.0, -4.0]), 3.0);
+        for spoilt in [[f64::NAN, 1.0], [1.0, f64::NAN], [1.0, -f64::NAN]] {
+            assert!(largest(spoilt).is_nan(), "{spoilt:?}");
+        }
+        assert!(largest([0.0; 0]).is_nan());
     }
 }

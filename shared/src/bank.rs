@@ -435,6 +435,16 @@ pub(crate) mod tests {
         package(&header)
     }
 
+    /// As the module's documentation has it.
+    #[test]
+    fn reference_bytes_of_a_marker() {
+        let active = Active { bank: 1, length: 0x0201, crc: 3, kernel_id: 4 };
+        let fields: [u8; 13] = [1, 1, 2, 0, 0, 3, 0, 0, 0, 4, 0, 0, 0];
+        let value = active.to_value();
+        assert_eq!(value[..13], fields);
+        assert!(value[13..].iter().all(|byte| *byte == 0xFF));
+    }
+
     #[test]
     fn property_uploads_alternate_and_read_back() {
         let mut nor = Nor::new(6);

@@ -162,6 +162,15 @@ mod tests {
         clock
     }
 
+    /// Worked by hand from postcard's rules.
+    #[test]
+    fn reference_bytes_of_what_is_kept() {
+        let kept = Kept { boots: 300, drift_ppb: Some(-3), set_us: Some(128) };
+        let expected: [u8; 7] = [0xAC, 2, 1, 5, 1, 0x80, 1];
+        let mut bytes = [0; VALUE];
+        assert_eq!(postcard::to_slice(&kept, &mut bytes).unwrap(), &expected);
+    }
+
     #[test]
     fn analytic_drift_of_a_fast_sensor() {
         let mut nor = Nor::new(2);

@@ -161,3 +161,62 @@ pub struct Block {
     /// CRC-32/ISO-HDLC of the bytes.
     pub crc: u32,
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::checksum::crc32;
+
+    /// The layout that a bank and `cpcm kernel` have, worked by hand from postcard's rules.
+    #[test]
+    fn reference_bytes_of_a_header() {
+        let block = |first: u8| Block {
+            offset: first.into(),
+            rows: u16::from(first) + 1,
+            cols: u16::from(first) + 2,
+            crc: u32::from(first) + 3,
+        };
+        let operator = Operator {
+            before: 3,
+            project: block(0),
+            expand: block(4),
+            offset_n: block(8),
+            half_width_n: block(12),
+            template_m_s2: block(16),
+        };
+        let bin = Bin { speed_m_s: 40.0, operators: Vec::from_slice(&[operator]).unwrap() };
+        let header = Header {
+            format: FORMAT,
+            provenance: Provenance {
+                site: "GN".try_into().unwrap(),
+                model_hash: 128,
+                calibrated_on: String::new(),
+                written_by: "x".try_into().unwrap(),
+            },
+            sensor: Sensor { sample_rate_hz: 4000.0, decimation: 4, m_s2_per_code: 0.5, range_m_s2: 2.0 },
+            direction: -1,
+            train: Train {
+                name: String::new(),
+                axle_offset_m: Vec::from_slice(&[0.0, 2.0]).unwrap(),
+                static_force_n: 1.0,
+                groups: Vec::from_slice(&[Group { first_axle: 0, axles: 2, operator: 0 }]).unwrap(),
+            },
+            grid_first_m: -2.0,
+            grid_step_m: 0.5,
+            grid_len: 200,
+            bins: Vec::from_slice(&[bin]).unwrap(),
+            payload_len: 300,
+        };
+        let postcard: [u8; 80] = [
+            1, 2, b'G', b'N', 0x80, 1, 0, 1, b'x', 0, 0, 0x7A, 0x45, 4, 0, 0, 0, 0x3F, 0, 0, 0, 0x40, 0xFF,
+            0, 2, 0, 0, 0, 0, 0, 0, 0, 0x40, 0, 0, 0x80, 0x3F, 1, 0, 2, 0, 0, 0, 0, 0xC0, 0, 0, 0, 0x3F,
+            0xC8, 1, 1, 0, 0, 0x20, 0x42, 1, 3, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17,
+            18, 19, 0xAC, 2,
+        ];
+        let mut bytes = [0; 128];
+        assert_eq!(header.encode(&mut bytes), Ok(12 + 80 + 4));
+        assert_eq!(&bytes[..12], b"CPCMKERN\x54\0\0\0");
+        assert_eq!(bytes[12..92], postcard);
+        assert_eq!(bytes[92..96], crc32(&postcard).to_le_bytes());
+    }
+}

@@ -77,3 +77,38 @@ pub mod flag {
     /// The passage began while the previous one was being evaluated; nothing of it was recorded.
     pub const NOT_RECORDED: u16 = 1 << 9;
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The layout that `records.bin` and the journal have, worked by hand from postcard's rules.
+    #[test]
+    fn reference_bytes_of_a_record() {
+        let wheelset = Wheelset {
+            time_s: 0.0,
+            peak_force_n: 2.0,
+            peak_position_m: -2.0,
+            peak_half_width_n: 0.5,
+            match_quality: 1.0,
+        };
+        let record = Record {
+            format: FORMAT,
+            sequence: 300,
+            first_axle_sample: 128,
+            samples: 200,
+            kernel_id: 7,
+            speed_m_s: 40.0,
+            max_acceleration_m_s2: 1.0,
+            quiet_rms_m_s2: 0.5,
+            flags: flag::LOW_SPEED,
+            wheelsets: Vec::from_slice(&[wheelset]).unwrap(),
+        };
+        let expected: [u8; 43] = [
+            1, 0xAC, 2, 0x80, 1, 0xC8, 1, 7, 0, 0, 0x20, 0x42, 0, 0, 0x80, 0x3F, 0, 0, 0, 0x3F, 0x80, 2, 1,
+            0, 0, 0, 0, 0, 0, 0, 0x40, 0, 0, 0, 0xC0, 0, 0, 0, 0x3F, 0, 0, 0x80, 0x3F,
+        ];
+        let mut bytes = [0; 64];
+        assert_eq!(postcard::to_slice(&record, &mut bytes).unwrap(), &expected);
+    }
+}

@@ -192,9 +192,12 @@ mod tests {
     use crate::bank;
     use crate::bank::tests::{header, package};
     use crate::checksum::crc32;
+    use crate::clock::{self, Binding};
     use crate::frame::Decoder;
     use crate::journal::Extent;
+    use crate::message::{Activity, Kernel};
     use crate::nor_mock::Nor;
+    use crate::package::check::{BlockField, NumberField, PackageError, SensorField};
     use crate::record::FORMAT;
     use crate::storage::{FLASH_LEN, Map};
     use embassy_futures::block_on;
@@ -272,6 +275,178 @@ mod tests {
         ];
         for (body, expected) in cases {
             assert_eq!(bytes(body), [&head, expected].concat());
+        }
+    }
+
+    /// Bytes of a reply behind version and id.
+    fn body_bytes(body: Reply) -> StdVec<u8> {
+        let mut buffer = [0; 256];
+        let envelope = Envelope { version: 1, id: 300, body };
+        let bytes = postcard::to_slice(&envelope, &mut buffer).unwrap();
+        assert_eq!(bytes[..3], [1, 0xAC, 0x02]);
+        bytes[3..].to_vec()
+    }
+
+    /// By hand as well, every reply of docs/protocol.md.
+    #[test]
+    fn reference_bytes_of_replies() {
+        let binding = Binding { sample: 300, unix_us: 128 };
+        let counters = Counters {
+            samples: 1,
+            lost_samples: 2,
+            passages: 3,
+            lost_passages: 4,
+            sensor_errors: 5,
+            storage_errors: 6,
+            link_errors: 7,
+            fifo_deepest: 200,
+        };
+        let info = Info {
+            protocol: 1,
+            serial: 42,
+            firmware: "0.1".try_into().unwrap(),
+            board: "x".try_into().unwrap(),
+            kernel: Some(Kernel {
+                id: 1,
+                crc: 2,
+                length: 128,
+                site: "GN".try_into().unwrap(),
+                train: String::new(),
+            }),
+            kernel_capacity: 300,
+            records: Some(Extent { first: 3, last: 5, count: 2 }),
+            counters,
+            clock: clock::State {
+                boots: 9,
+                binding: Some(binding),
+                drift_ppb: Some(-3),
+                set_before_us: None,
+            },
+        };
+        let set = clock::Set { binding, ahead_us: Some(-1), span_us: 5, drift_ppb: Some(2), stored: true };
+        let entry = Entry {
+            sequence: 3,
+            length: 200,
+            crc: 1,
+            first_axle_sample: 128,
+            flags: 256,
+            speed_m_s: 40.0,
+            wheelsets: 12,
+        };
+        let list = Listing { entries: Vec::from_slice(&[entry]).unwrap(), next: Some(4) };
+        let live = Live {
+            sample: 300,
+            activity: Activity::Evaluating,
+            mean_m_s2: 1.0,
+            rms_m_s2: 0.5,
+            peak_m_s2: -2.0,
+            last_sequence: Some(5),
+            counters,
+        };
+        let cases: [(Reply, &[u8]); 9] = [
+            (Reply::Refused(Refusal::Starting), &[0, 5]),
+            (
+                Reply::Info(info),
+                &[
+                    1, 1, 42, 3, b'0', b'.', b'1', 1, b'x', 1, 1, 2, 0x80, 1, 2, b'G', b'N', 0, 0xAC, 2, 1,
+                    3, 5, 2, 1, 2, 3, 4, 5, 6, 7, 0xC8, 1, 9, 1, 0xAC, 2, 0x80, 1, 1, 5, 0,
+                ],
+            ),
+            (Reply::ClockSet(set), &[2, 0xAC, 2, 0x80, 1, 1, 1, 5, 1, 4, 1]),
+            (Reply::List(list), &[3, 1, 3, 0xC8, 1, 1, 0x80, 1, 0x80, 2, 0, 0, 32, 66, 12, 1, 4]),
+            (
+                Reply::Record { sequence: 1, offset: 2, total: 200, bytes: &[7, 8] },
+                &[4, 1, 2, 0xC8, 1, 2, 7, 8],
+            ),
+            (Reply::Upload(bank::Progress { received: 64, length: 128, crc: 1 }), &[5, 64, 0x80, 1, 1]),
+            (Reply::Committed { kernel_id: 300 }, &[6, 0xAC, 2]),
+            (Reply::Aborted, &[7]),
+            (
+                Reply::Live(live),
+                &[
+                    8, 0xAC, 2, 3, 0, 0, 0x80, 63, 0, 0, 0, 63, 0, 0, 0, 0xC0, 1, 5, 1, 2, 3, 4, 5, 6, 7,
+                    0xC8, 1,
+                ],
+            ),
+        ];
+        for (body, expected) in cases {
+            assert_eq!(body_bytes(body), expected);
+        }
+    }
+
+    #[test]
+    fn reference_bytes_of_refusals() {
+        let extent = Some(Extent { first: 0, last: 59, count: 54 });
+        let cases: [(Refusal, &[u8]); 7] = [
+            (Refusal::Version { node: 1, tool: 200 }, &[0, 1, 0xC8]),
+            (Refusal::Unknown, &[1]),
+            (Refusal::NoRecord { sequence: 14, extent }, &[2, 14, 1, 0, 59, 54]),
+            (Refusal::Offset { offset: 300, total: 200 }, &[3, 0xAC, 2, 0xC8, 1]),
+            (Refusal::Package(bank::Refusal::NoPackage), &[4, 1]),
+            (Refusal::Starting, &[5]),
+            (Refusal::TooLong, &[6]),
+        ];
+        for (refusal, expected) in cases {
+            assert_eq!(body_bytes(Reply::Refused(refusal)), [&[0], expected].concat());
+        }
+        let of_packages: [(bank::Refusal, &[u8]); 10] = [
+            (bank::Refusal::TooLong { length: 2, max: 1 }, &[0, 2, 1]),
+            (bank::Refusal::NoPackage, &[1]),
+            (bank::Refusal::NotBegun, &[2]),
+            (bank::Refusal::Gap { offset: 3, received: 4 }, &[3, 3, 4]),
+            (bank::Refusal::Overrun { end: 5, length: 4 }, &[4, 5, 4]),
+            (bank::Refusal::Incomplete { received: 1, length: 4 }, &[5, 1, 4]),
+            (bank::Refusal::Crc { announced: 1, found: 2 }, &[6, 1, 2]),
+            (bank::Refusal::Header(PackageError::Magic), &[7, 0]),
+            (bank::Refusal::Length { package: 1, parts: 300 }, &[8, 1, 0xAC, 2]),
+            (bank::Refusal::Flash { offset: 9 }, &[9, 9]),
+        ];
+        for (refusal, expected) in of_packages {
+            assert_eq!(body_bytes(Reply::Refused(Refusal::Package(refusal))), [&[0, 4], expected].concat());
+        }
+    }
+
+    #[test]
+    fn reference_bytes_of_refused_headers() {
+        let cases: [(PackageError, &[u8]); 19] = [
+            (PackageError::Magic, &[0]),
+            (PackageError::HeaderLength(300), &[1, 0xAC, 2]),
+            (PackageError::TooShort { needed: 12, given: 3 }, &[2, 12, 3]),
+            (PackageError::HeaderCrc { stored: 1, computed: 2 }, &[3, 1, 2]),
+            (PackageError::Encoding, &[4]),
+            (PackageError::Format(2), &[5, 2]),
+            (PackageError::Direction(-2), &[6, 0xFE]),
+            (
+                PackageError::Sensor { field: SensorField::Range, package: 1.0, node: 2.0 },
+                &[7, 3, 0, 0, 0x80, 63, 0, 0, 0, 64],
+            ),
+            (PackageError::Number { field: NumberField::BinSpeed, value: 1.0 }, &[8, 4, 0, 0, 0x80, 63]),
+            (PackageError::AxleOrder { axle: 3 }, &[9, 3]),
+            (PackageError::Axles(1), &[10, 1]),
+            (PackageError::Group { group: 1, expected_first: 2 }, &[11, 1, 2]),
+            (PackageError::Grid(200), &[12, 0xC8, 1]),
+            (PackageError::NoBins, &[13]),
+            (PackageError::BinOrder { bin: 1 }, &[14, 1]),
+            (PackageError::NoOperator { bin: 1, operator: 2 }, &[15, 1, 2]),
+            (
+                PackageError::Shape { bin: 1, block: BlockField::Template, found: (2, 3), expected: (4, 5) },
+                &[16, 1, 4, 2, 3, 4, 5],
+            ),
+            (
+                PackageError::Bounds {
+                    bin: 1,
+                    block: BlockField::Expand,
+                    offset: 4,
+                    end: 300,
+                    payload_len: 200,
+                },
+                &[17, 1, 1, 4, 0xAC, 2, 0xC8, 1],
+            ),
+            (PackageError::Before { bin: 1, before: 3, window: 2 }, &[18, 1, 3, 2]),
+        ];
+        for (error, expected) in cases {
+            let refusal = Refusal::Package(bank::Refusal::Header(error));
+            assert_eq!(body_bytes(Reply::Refused(refusal)), [&[0, 4, 7], expected].concat());
         }
     }
 

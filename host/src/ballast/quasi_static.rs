@@ -484,7 +484,7 @@ mod tests {
 
     /// Gradient of eq. 2 with the axle times free, against central differences.
     #[test]
-    fn analytic_gradient_of_the_quasi_static_misfit() {
+    fn property_gradient_of_the_quasi_static_misfit() {
         let track = panel(STIFF, Mesh::default());
         let frequency_hz: Vec<f64> = (4..=38).map(|k| 0.5 * f64::from(k)).collect();
         let grid = track.rail_grid(STEP_M);

@@ -73,7 +73,7 @@ mod tests {
 
     /// Field recordings, of which three trains are moved.
     #[test]
-    fn reference_trains_that_are_moved_lie_ahead_of_the_others() {
+    fn property_trains_that_are_moved_lie_ahead_of_the_others() {
         let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/data/field/reference-1");
         let site = read_site(&root).unwrap();
         let mut observed = observe(&site).unwrap();

@@ -285,7 +285,7 @@ mod tests {
 
     /// Passages that are one until a wheel meets the bump, in both directions and on both rails.
     #[test]
-    fn analytic_bumps_are_those_of_whole_passages() {
+    fn property_bumps_are_those_of_whole_passages() {
         let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/data/field");
         let site = read_site(&root.join("reference-1")).unwrap();
         let mut world = nominal_world(&site, BallastParameters::NOMINAL).unwrap();

@@ -54,7 +54,7 @@ mod tests {
     use std::path::Path;
 
     #[test]
-    fn reference_node_stage_is_small_within_its_range_and_shows_clipping() {
+    fn property_node_stage_is_small_within_its_range_and_shows_clipping() {
         let dir = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/data/field/reference-1");
         let mut site = crate::recording::read_site(&dir).unwrap();
         site.passages.truncate(3);

@@ -99,7 +99,7 @@ mod tests {
 
     /// Forty trains of six bogies, bogies 0.05 apart: trains that differ by 0.04, by nothing, and with the temperature only.
     #[test]
-    fn analytic_what_trains_differ_by_is_found_and_nothing_else() {
+    fn property_what_trains_differ_by_is_found_and_nothing_else() {
         let mut random = Random::new(1, 0);
         let temperatures: Vec<f64> = (0..40).map(|i| f64::from(i * 7 % 40)).collect();
         let mut sites = |own: f64, per_kelvin: f64| -> f64 {

@@ -37,7 +37,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn regress_stream_stays_the_same() {
+    fn property_a_stream_repeats_and_others_differ() {
         let mut random = Random::new(7, 3);
         let first: Vec<f64> = (0..3).map(|_| random.unit()).collect();
         let mut again = Random::new(7, 3);

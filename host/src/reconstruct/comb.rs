@@ -79,7 +79,7 @@ mod tests {
 
     /// The speeds of coherent stacking are good to 0.05 % there.
     #[test]
-    fn reference_envelopes_tell_the_speed_to_half_a_percent() {
+    fn property_envelopes_tell_the_speed_to_half_a_percent() {
         for name in ["reference-1", "known-saturation"] {
             let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/data/field");
             let site = read_site(&root.join(name)).unwrap();

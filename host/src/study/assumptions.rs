@@ -258,7 +258,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn paper_every_assumption_is_broken_alone() {
+    fn property_every_assumption_is_broken_alone() {
         let all = breaks();
         let sound = all[0];
         for b in &all[1..] {

@@ -171,18 +171,32 @@ pub fn all() -> [Panel; 6] {
 mod tests {
     use super::*;
 
+    /// With the axle loads of section 6.1.1 and the pads of Table 1.
     #[test]
     fn paper_panels_are_those_of_table_2() {
+        use Design::{E60, Uic60};
+        use TrafficDirection::{Facing, Trailing};
+        let table = [
+            ("Ho 21B", E60, Trailing, 180.0, 57, 1.7, 18_000.0),
+            ("Ho 22A", E60, Facing, 190.0, 48, 2.3, 15_500.0),
+            ("Sg 21A", Uic60, Facing, 170.0, 41, 2.5, 15_500.0),
+            ("Sg 21B", Uic60, Facing, 160.0, 12, 1.9, 18_000.0),
+            ("Vad 102", Uic60, Trailing, 200.0, 38, 1.6, 15_500.0),
+            ("Vad 131", Uic60, Facing, 130.0, 9, 1.8, 15_500.0),
+        ];
         let all = all();
-        assert_eq!(all.iter().map(|p| p.passes).sum::<usize>(), 205);
+        for (p, row) in all.iter().zip(table) {
+            let crossing = p.crossing(37);
+            let load_kg = crossing.vehicle.axle_load_kg;
+            let found = (p.name, p.design, p.direction, p.speed_km_h, p.passes, p.scan_length_m, load_kg);
+            assert_eq!(found, row);
+            let [from_m, to_m] = p.geometry.scan_m;
+            assert!((to_m - from_m - p.scan_length_m).abs() < 1e-9, "{}", p.name);
+            assert_eq!(crossing.pad.stiffness_n_m, if p.design == E60 { 60e6 } else { 1200e6 });
+        }
         assert_eq!(
             all.iter().filter(|p| p.damaged).map(|p| p.name).collect::<Vec<_>>(),
             ["Sg 21B", "Vad 131"]
         );
-        for p in &all {
-            let crossing = p.crossing(37);
-            assert_eq!(crossing.pad.stiffness_n_m, if p.name.starts_with("Ho") { 60e6 } else { 1200e6 });
-            assert_eq!(crossing.vehicle.axle_load_kg, p.axle_load_kg);
-        }
     }
 }

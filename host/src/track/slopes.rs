@@ -108,7 +108,7 @@ mod tests {
 
     /// Against central differences, whose own error is of the second order in the step.
     #[test]
-    fn analytic_slopes_are_those_of_finite_differences() {
+    fn property_slopes_are_those_of_finite_differences() {
         let f = [0.0, 8.0, 19.0, 60.0];
         for track in [panel(SOFT, Mesh::default()), panel(STIFF, Mesh::default()), t1(STIFF, 0.3)] {
             let n = track.sleeper_x_m.len();

@@ -3,7 +3,7 @@
 use std::f64::consts::TAU;
 
 use super::reference::{self, WHEEL_N};
-use super::{Case, Curves, Table, tolerance};
+use super::{Case, Curves, Table, largest, tolerance};
 use crate::closed_form::{
     BeamCrossing, TwoLayer, oscillator_impulse, pinned_pinned_hz, point_receptance, winkler_euler_m,
     winkler_timoshenko_m,
@@ -244,7 +244,7 @@ pub(super) fn under_constant_force(rail: &RailGreens, position_m: &[f64], force_
 
 /// Largest difference of two curves relative to the largest expected value.
 pub(super) fn largest_difference(expected: &[f64], found: &[f64]) -> f64 {
-    let scale = expected.iter().fold(0.0, |m: f64, v| m.max(v.abs()));
-    let largest = expected.iter().zip(found).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
-    if expected.len() == found.len() { largest / scale } else { f64::NAN }
+    let scale = largest(expected.iter().map(|v| v.abs()));
+    let difference = largest(expected.iter().zip(found).map(|(a, b)| (a - b).abs()));
+    if expected.len() == found.len() { difference / scale } else { f64::NAN }
 }

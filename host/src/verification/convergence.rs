@@ -3,7 +3,7 @@
 use faer::c64;
 
 use super::reference::{self, SOFT, SPEED_M_S, STIFF, WHEEL_N};
-use super::{Case, Table, tolerance};
+use super::{Case, Table, largest, tolerance};
 use crate::greens::moving::{WheelPath, constant_force_response, kernel};
 use crate::greens::{Chain, GreensFunctions, GreensSampling, Quantity};
 use crate::signal::{CubicSpline, brick_band, rms};
@@ -49,19 +49,17 @@ fn passage(track: &Track, sampling: GreensSampling, quantity: Quantity) -> Vec<f
 /// RMS difference relative to the RMS of the finest.
 fn difference(coarse: &[f64], fine: &[f64]) -> f64 {
     let e: Vec<f64> = coarse.iter().zip(fine).map(|(a, b)| a - b).collect();
-    rms(&e) / rms(fine)
+    if coarse.len() == fine.len() { rms(&e) / rms(fine) } else { f64::NAN }
 }
 
 /// Displacement and acceleration difference for both pads, worst.
 fn worst_of(track: &dyn Fn(reference::PadCase) -> Track, finest: &[[Vec<f64>; 2]; 2]) -> [f64; 2] {
-    let mut worst = [0.0f64; 2];
-    for (pads, fine) in BOTH.iter().zip(finest) {
-        let found = responses(&track(*pads), USED);
-        for k in 0..2 {
-            worst[k] = worst[k].max(difference(&found[k], &fine[k]));
-        }
-    }
-    worst
+    worst(&BOTH.map(|pads| responses(&track(pads), USED)), finest)
+}
+
+/// The same of responses.
+fn worst(found: &[[Vec<f64>; 2]; 2], finest: &[[Vec<f64>; 2]; 2]) -> [f64; 2] {
+    [0, 1].map(|k| largest(found.iter().zip(finest).map(|(found, fine)| difference(&found[k], &fine[k]))))
 }
 
 fn responses(track: &Track, sampling: GreensSampling) -> [Vec<f64>; 2] {
@@ -124,16 +122,10 @@ pub fn sampling() -> (Vec<Case>, Table) {
     let mut last = [0.0; 2];
     for (rate, len) in [(1000.0, 512), (2000.0, 1024), (5000.0, 4096), (10_000.0, 8192)] {
         let sampling = if rate == 1000.0 { USED } else { wide(rate, len) };
-        let mut worst = [0.0f64; 2];
-        for (track, fine) in tracks.iter().zip(&finest) {
-            let found = responses(track, sampling);
-            for k in 0..2 {
-                worst[k] = worst[k].max(difference(&found[k], &fine[k]));
-            }
-        }
-        table.row(&[format!("{rate}"), len.to_string(), percent(worst[0]), percent(worst[1])]);
+        let e = worst(&[0, 1].map(|i| responses(&tracks[i], sampling)), &finest);
+        table.row(&[format!("{rate}"), len.to_string(), percent(e[0]), percent(e[1])]);
         if rate == 1000.0 {
-            last = worst;
+            last = e;
         }
     }
     let case = |what: &str, value: f64, tolerance: f64| {
@@ -188,14 +180,9 @@ pub fn interpolation() -> (Vec<Case>, Table) {
     for step in [0.6, 0.3, 0.2, 0.15, 0.1] {
         let mut cells = vec![format!("{step}")];
         for spline in [false, true] {
-            let mut worst = vec![0.0f64; f.len()];
-            for (pads, exact) in BOTH.iter().zip(&exact) {
-                let found = on_centimetres(&crossing_track(*pads, step), &f, spline);
-                for k in 0..f.len() {
-                    worst[k] = worst[k].max(along(&exact[k], &found[k]));
-                }
-            }
-            let to = |last: usize| worst[..last].iter().copied().fold(0.0, f64::max);
+            let found = BOTH.map(|pads| on_centimetres(&crossing_track(pads, step), &f, spline));
+            let worst = |k: usize| largest([0, 1].map(|i| along(&exact[i][k], &found[i][k])));
+            let to = |last: usize| largest((0..last).map(worst));
             cells.extend([percent(to(3)), percent(to(6))]);
             if step == 0.3 && !spline {
                 used = [to(3), to(6)];
@@ -245,7 +232,7 @@ fn on_centimetres(track: &Track, f: &[f64], spline: bool) -> Vec<Vec<c64>> {
 }
 
 fn along(exact: &[c64], found: &[c64]) -> f64 {
-    let scale = exact.iter().map(|v| v.norm()).fold(0.0, f64::max);
-    let worst = exact.iter().zip(found).map(|(a, b)| (a - b).norm()).fold(0.0, f64::max);
-    if exact.len() == found.len() { worst / scale } else { f64::NAN }
+    let scale = largest(exact.iter().map(|v| v.norm()));
+    let difference = largest(exact.iter().zip(found).map(|(a, b)| (a - b).norm()));
+    if exact.len() == found.len() { difference / scale } else { f64::NAN }
 }

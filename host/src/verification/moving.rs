@@ -2,7 +2,7 @@
 
 use super::closed::{largest_difference, under_constant_force};
 use super::reference::{self, MID, PadCase, SOFT, SPEED_M_S, STIFF, WHEEL_N, reference};
-use super::{Case, Curves, VerifyError, tolerance};
+use super::{Case, Curves, VerifyError, largest, tolerance};
 use crate::greens::moving::WheelPath;
 use crate::greens::moving_response::RailGreens;
 use crate::greens::{Chain, GreensFunctions, GreensSampling, Quantity, try_kernel};
@@ -58,11 +58,11 @@ fn sleeper_cases(
 ) -> Result<Vec<Case>, VerifyError> {
     let response = sleeper_response(track)?;
     let found: Vec<f64> = x.iter().map(|x| response.at(*x)).collect();
-    let largest = |v: &[f64]| v.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    let deepest = |v: &[f64]| largest(v.iter().copied());
     let name = |what: &str| format!("T1 moving force, {}, sleeper, {what}", pads.name);
     Ok(vec![
         Case::new(&name("peak"), SOURCE, "m")
-            .values(largest(expected), largest(&found), tolerance::MOVING)
+            .values(deepest(expected), deepest(&found), tolerance::MOVING)
             .with(Curves {
                 x_caption: "position of the force, m from the sleeper",
                 y_caption: "deflection of the sleeper, mm",

@@ -1,8 +1,8 @@
 //! P2 force of a wheel over a dipped joint against Jenkins' closed form: an upper bound, because the lumped track neither
-//! radiates along the rail nor, without damper, loses energy.
+//! radiates along the rail nor, without damper, loses energy; the force stays near it.
 
 use super::reference::{MID, PadCase, SOFT, STIFF, WHEEL_N};
-use super::{Case, Table, VerifyError, tolerance};
+use super::{Case, Table, VerifyError, largest, tolerance};
 use crate::closed_form::{LumpedTrack, jenkins_p2_n};
 use crate::passage::contact::ContactLaw;
 use crate::passage::{
@@ -60,7 +60,7 @@ fn simulated_n(pads: PadCase, angle_rad: f64) -> Result<f64, VerifyError> {
     let excess: Vec<f64> = trace.force_n.iter().map(|f| f - WHEEL_N).collect();
     let low = brick_band(&excess, 1.0 / step.dt_s, 0.0, LOW_PASS_HZ);
     let after = trace.position_m.iter().zip(&low).filter(|(x, _)| **x > JOINT_M && **x < JOINT_M + AFTER_M);
-    Ok(after.map(|(_, f)| *f).fold(f64::NEG_INFINITY, f64::max))
+    Ok(largest(after.map(|(_, f)| *f)))
 }
 
 /// The track as Jenkins lumps it, by the energies of the static deflection: a sleeper moves by the share of the pads in the
@@ -91,11 +91,16 @@ pub fn all() -> Result<(Vec<Case>, Table), VerifyError> {
             let found = simulated_n(pads, angle)?;
             let of = |t: &LumpedTrack| jenkins_p2_n(t, UNSPRUNG_KG, angle, SPEED_M_S);
             let label = format!("P2 force over a dip of {:.0} mrad, {}", 1e3 * angle, pads.name);
-            cases.push(
+            cases.extend([
                 Case::new(&label, "upper bound: Jenkins 1974, no damper", "N")
                     .values(of(&undamped), found, tolerance::P2_BOUND)
                     .bounded(),
-            );
+                Case::new(&format!("{label}, beside the bound"), "Jenkins 1974, no damper", "N").values(
+                    of(&undamped),
+                    found,
+                    tolerance::P2_BESIDE_BOUND,
+                ),
+            ]);
             let cells = [found, of(&undamped), of(&track), of(&LumpedTrack::gm_tt_0088())];
             let mut row = vec![pads.name.to_string(), format!("{:.0}", 1e3 * angle)];
             row.extend(cells.map(|v| format!("{:.1}", 1e-3 * v)));

@@ -48,6 +48,8 @@ pub const COVERAGE: f64 = 0.08;
 pub const LOW_PASS_WAVELENGTH: f64 = 0.10;
 /// An upper bound is not exceeded by more than rounding.
 pub const P2_BOUND: f64 = 1e-9;
+/// What the rail radiates and the damper takes is a part of the bound only: measured 4.5 to 17.4 %, most on stiff pads.
+pub const P2_BESIDE_BOUND: f64 = 0.2;
 /// Outer ballast by eq. 1 over the scan: 24 passages, wheels that differ; the paper's eq. 2 is up to 21 % off.
 #[cfg(test)]
 pub const KNOWN_GEOMETRY_P1: f64 = 0.05;

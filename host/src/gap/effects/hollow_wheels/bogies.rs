@@ -158,7 +158,7 @@ mod tests {
 
     /// Six of twenty bogies have hollow wheels, over a path that is off by what a third of them would show.
     #[test]
-    fn analytic_hollow_wheels_are_told_from_what_all_bogies_have_in_common() {
+    fn property_hollow_wheels_are_told_from_what_all_bogies_have_in_common() {
         let mut random = Random::new(11, 0);
         let case_of = |bogie: usize| {
             [3, 0, 1, 0, 0, 2, 0, 0, 0, 1].get(bogie).copied().unwrap_or(usize::from(bogie > 17))

@@ -228,7 +228,7 @@ mod tests {
     }
 
     #[test]
-    fn analytic_two_groups_are_found_and_one_is_not_split() {
+    fn property_two_groups_are_found_and_one_is_not_split() {
         let (found, two) = grouped(&wheels(0.3, 0.06)).unwrap();
         assert!(found > 50.0, "{found}");
         assert!((two.mean[1][0] - two.mean[0][0] - 0.6).abs() < 0.03, "{two:?}");

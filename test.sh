@@ -49,6 +49,7 @@ cargo test --release --package cpcm-tests --test firmware -- --nocapture
 
 step "tests, and beside them the blind trials of the next step"
 # Tests end one after another and leave a core idle then; the trials take what they leave, and what they need beyond that at the end.
+rm -rf target/blind-trial
 nice -n 10 cargo run --release --package cpcm --bin cpcm -- \
     blind-trial --seed 7 --trials 20 --check --out target/blind-trial >target/blind-trial.log 2>&1 &
 trials=$!

@@ -190,6 +190,14 @@ fn key_in_the_wrong_unit() {
     site_refused(dir.path(), &["crossing.toml", "rail.youngs_modulus_pa", "210", "Pa"]);
 }
 
+/// Impacts fold into the band of the forces: nothing of such a recorder is analysed.
+#[test]
+fn recorder_below_the_least_rate() {
+    let (dir, _) = sound(Format::Parquet);
+    edit(dir.path(), "crossing.toml", |t| t.replace("sample_rate_hz = 4000.0", "sample_rate_hz = 1599.0"));
+    site_refused(dir.path(), &["crossing.toml", "sensor.sample_rate_hz", "= 1599 ", "1600", "Hz"]);
+}
+
 #[test]
 fn key_that_is_not_a_number() {
     let (dir, _) = sound(Format::Parquet);

@@ -236,14 +236,14 @@ fn property_resumed_trials_take_over_what_is_there() {
 }
 
 #[test]
-fn property_single_trials_do_not_replace_the_scores_of_a_run() {
+fn property_trials_do_not_replace_the_scores_of_a_run() {
     let dir = tempfile::tempdir().unwrap();
     let before = trials("0.1.0");
     fs::write(dir.path().join("trials.json"), &before).unwrap();
-    fails(
-        &["blind-trial", "--seed", "3", "--only", "0", "--out", text(dir.path())],
-        &["trials.json", "choose another --out"],
-    );
+    for which in [["--only", "0"], ["--trials", "2"]] {
+        let args = ["blind-trial", "--seed", "3", which[0], which[1], "--out", text(dir.path())];
+        fails(&args, &["trials.json", "choose another --out"]);
+    }
     assert_eq!(fs::read_to_string(dir.path().join("trials.json")).unwrap(), before);
 }
 
@@ -253,7 +253,7 @@ fn property_damaged_trials_are_not_resumed() {
     fs::write(dir.path().join("trials.json"), &trials("0.1.0")[..40]).unwrap();
     fails(
         &["blind-trial", "--seed", "3", "--trials", "1", "--resume", "--out", text(dir.path())],
-        &["trials.json", "without --resume"],
+        &["trials.json", "choose another --out"],
     );
 }
 
@@ -271,13 +271,14 @@ fn property_effects_that_a_diagnosis_does_not_offer_are_refused_before_any_work(
     fs::write(&file, r#"{"effects": [{"name": "axle-load", "parameters": {"factor": {"value": 1.1}}, "alternatives": [{}]}]}"#)
         .unwrap();
     analyse(&with, &["diagnosis.json", "not a diagnosis.json", "no name"]);
-    let effects = r#"{"effects": [{"name": "axle-load", "parameters": {"factor": {"value": 1.1}},
+    let effects = r#"{"site": "GN 649", "effects": [{"name": "axle-load", "parameters": {"factor": {"value": 1.1}},
         "alternatives": [{"name": "load-transfer", "parameters": {"fraction": {"value": 1.5}}}]}]}"#;
     fs::write(&file, effects).unwrap();
     analyse(&[with[0], with[1], "--take", "pads"], &["does not offer pads", "axle-load or load-transfer"]);
+    // It was taken without a word.
     analyse(
         &[with[0], with[1], "--take", "load-transfer"],
-        &["load-transfer", "fraction is 1.5", "-0.9 … 0.9"],
+        &["is the diagnosis of GN 649, not of GN 648", "load-transfer", "fraction is 1.5", "-0.9 … 0.9"],
     );
 }
 

@@ -1,7 +1,5 @@
 //! Properties that the linear-Gaussian estimate must have whatever its numbers, through its public face.
 
-mod tolerance;
-
 use cpcm::greens::{Chain, GreensFunctions, Quantity};
 use cpcm::inverse::{
     CommonProfile, Estimator, Excitation, GroupGeometry, InverseError, Prior, ProfileGrids, Running,
@@ -10,6 +8,7 @@ use cpcm::inverse::{
 use cpcm::recording::read_site;
 use cpcm::track::{Mesh, Track};
 use cpcm_tests::sample::field;
+use cpcm_tests::tolerance;
 
 /// Model of one bogie on `reference-1` at its nominal ballast.
 struct Bogie {

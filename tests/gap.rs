@@ -10,6 +10,7 @@ use cpcm::gap::effects::COMMON;
 use cpcm::gap::fit::{FitOptions, fit, replaced};
 use cpcm::gap::forward::Detail;
 use cpcm::gap::hammer::{Hammer, modelled};
+use cpcm::gap::included::read_effects;
 use cpcm::gap::receptance::read_receptance;
 use cpcm::gap::results::{diagnosis_json, write_diagnosis};
 use cpcm::gap::split::split;
@@ -42,12 +43,16 @@ fn reference_known_pads_are_named_and_the_numbers_can_be_recomputed() {
     let found = diagnose(&field("known-pad-stiffness"), &DiagnoseOptions::default(), &Silent).unwrap();
     assert_eq!(found.verdict, Verdict::Explained);
     assert_eq!(found.effects[0].name, "pad-stiffness");
-    let (name, _, lower, upper) = found.effects[0].parameters[0];
+    let (name, value, lower, upper) = found.effects[0].parameters[0];
     assert!(name == "factor" && lower <= 3.0 && 3.0 <= upper, "{lower} {upper}");
     assert!(found.gap.closed_fraction >= 0.7);
     let out = tempfile::tempdir().unwrap();
     write_diagnosis(out.path(), "site", &found).unwrap();
-    let json = diagnosis_json(&found);
+    let (read, _) = read_effects(&out.path().join("diagnosis.json")).unwrap();
+    let factor = read[0].effect.value("factor", [0.0, f64::INFINITY]).unwrap();
+    assert_eq!((read.len(), read[0].effect.name.as_str()), (found.effects.len(), "pad-stiffness"));
+    assert!((factor / value - 1.0).abs() < tolerance::THROUGH_JSON, "{factor} {value}");
+    let json = diagnosis_json("site", &found);
     let file = out.path().join("predictions.parquet");
     let (before, after) = (gap_from_file(&file, "before"), gap_from_file(&file, "after"));
     let number = |key: &str| json["gap"][key].as_f64().unwrap();
@@ -85,7 +90,10 @@ fn reference_recordings_without_effect_have_no_gap() {
 fn property_nothing_but_the_recordings_matters() {
     let mut site = small("known-load-transfer", 6);
     let diagnosed = |site: &Site| {
-        diagnosis_json(&among(site, &["load-transfer", "axle-load", "hollow-wheels", "wheel-flat", "tonal"]))
+        diagnosis_json(
+            "site",
+            &among(site, &["load-transfer", "axle-load", "hollow-wheels", "wheel-flat", "tonal"]),
+        )
     };
     let one = diagnosed(&site);
     assert_eq!(one["effects"][0]["name"], "load-transfer");
@@ -104,9 +112,9 @@ fn property_nothing_but_the_recordings_matters() {
 #[test]
 fn property_order_of_the_passages_does_not_matter() {
     let mut site = small("known-wheel-out-of-roundness", 6);
-    let one = diagnosis_json(&quick(&site).unwrap());
+    let one = diagnosis_json("site", &quick(&site).unwrap());
     site.passages.reverse();
-    let other = diagnosis_json(&quick(&site).unwrap());
+    let other = diagnosis_json("site", &quick(&site).unwrap());
     // Sums are taken in another order.
     let gap = |d: &serde_json::Value| d["gap"]["before"].as_f64().unwrap();
     assert!((gap(&one) / gap(&other) - 1.0).abs() < tolerance::SUM_ORDER, "{} {}", gap(&one), gap(&other));

@@ -3,8 +3,6 @@
 //! Every wheel makes the acceleration `A v² g(v t)`, as a quasi-static deflection does, and "force" is by definition
 //! `Q + C A g(x)`. Operators that read g off the window give exactly that back, whatever the speed.
 
-mod tolerance;
-
 use cpcm_shared::detect::Detector;
 use cpcm_shared::evaluate::{Kernel, Scratch, evaluate};
 use cpcm_shared::operator::{InMemory, block_crc};
@@ -13,6 +11,7 @@ use cpcm_shared::passage::{Buffer, Passage};
 use cpcm_shared::record::{Record, flag};
 use cpcm_shared::sample::{M_S2_PER_CODE, SensorCode};
 use cpcm_shared::sampler::{Event, Sampler};
+use cpcm_tests::tolerance;
 use embassy_futures::block_on;
 
 const OFFSETS_M: [f64; 8] = [0.0, 2.9, 17.7, 20.6, 24.95, 27.85, 42.65, 45.55];
@@ -238,6 +237,7 @@ fn property_odd_recordings_and_packages_never_panic() {
         (state >> 8) as usize % below
     };
     let train = record_passage(&signal(40.0, &OFFSETS_M, 8.0)).1;
+    let mut evaluated = 0;
     for round in 0..200 {
         let mut samples = train.samples().to_vec();
         samples.truncate(next(samples.len() + 1));
@@ -253,5 +253,7 @@ fn property_odd_recordings_and_packages_never_panic() {
         let kernel = Kernel { header: &header, id: round, payload: &mut reader };
         let record = block_on(evaluate(&Passage::default(), &samples, Some(kernel), &mut Scratch::new()));
         assert!(record.wheelsets.iter().all(|w| w.peak_force_n.is_finite()));
+        evaluated += usize::from(!record.wheelsets.is_empty());
     }
+    assert!(evaluated > 0, "no round comes as far as forces");
 }

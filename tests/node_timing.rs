@@ -1,7 +1,6 @@
 //! The node's detection, speed and axle count on the field recordings.
 
 mod field;
-mod tolerance;
 
 use cpcm_shared::detect::Detector;
 use cpcm_shared::pace::Pace;
@@ -10,6 +9,7 @@ use cpcm_shared::sample::SensorCode;
 use cpcm_shared::sampler::{Event, Sampler};
 use cpcm_shared::timing::{TrainMatch, coarse, find_train};
 use cpcm_tests::sample::{KNOWN_SITES, REFERENCE_SITES};
+use cpcm_tests::tolerance;
 use embassy_futures::block_on;
 use field::{Recording, axle_offsets_m, recordings, train};
 
@@ -91,21 +91,27 @@ fn reference_speed_and_axles_of_field_recordings() {
     println!("{:<30} {:>8} {:>8} {:>8}  axles coher. scatter", "site", "speed", "median %", "largest %");
     for site in REFERENCE_SITES {
         let errors = score(site);
+        assert_eq!(errors.len(), 24, "{site}");
         assert!(errors.iter().all(|e| *e < tolerance::SPEED_LARGEST), "{site}");
         assert!(median(errors) < tolerance::SPEED_MEDIAN, "{site}");
     }
-    for site in KNOWN_SITES {
-        let errors = score(site);
-        if site != "known-clock-error" {
-            assert!(errors.iter().all(|e| *e < tolerance::SPEED_OPERATOR), "{site}");
-        }
-    }
+    KNOWN_SITES.into_iter().for_each(assert_as_stated);
 }
 
 #[test]
 fn reference_hidden_effects_do_not_hide_the_train() {
-    for site in ["blind-a", "blind-b", "blind-c", "blind-d", "blind-e", "blind-f", "blind-g", "blind-h"] {
-        score(site);
+    ["blind-a", "blind-b", "blind-c", "blind-d", "blind-e", "blind-f", "blind-g", "blind-h"]
+        .into_iter()
+        .for_each(assert_as_stated);
+}
+
+/// The trains of a site are found, and as fast as its operator has them, where he states it.
+fn assert_as_stated(site: &str) {
+    let errors = score(site);
+    let unstated = ["known-saturation", "blind-a", "blind-g", "blind-h"].contains(&site);
+    assert_eq!(errors.len(), if unstated { 0 } else { 24 }, "{site}");
+    if site != "known-clock-error" {
+        assert!(errors.iter().all(|e| *e < tolerance::SPEED_OPERATOR), "{site}");
     }
 }
 
@@ -123,8 +129,10 @@ fn property_other_trains_are_not_mistaken() {
     for site in ["reference-1", "reference-2", "blind-e"] {
         let recordings = recordings(site);
         for (name, offsets) in &others {
-            let found = matches(&recordings[..8], offsets);
-            for m in found.into_iter().flatten() {
+            // Where a pattern fits best at a crawl, the recording is shorter than the train, and nothing is compared.
+            let found: Vec<TrainMatch> = matches(&recordings[..8], offsets).into_iter().flatten().collect();
+            assert!(found.len() >= 6, "{site} is compared with {name} {} times of 8", found.len());
+            for m in found {
                 assert!(!m.is_expected(offsets.len()), "{site} taken for {name}: {m:?}");
             }
         }

@@ -57,7 +57,10 @@ fn regress_page_of_an_empty_analysis_is_drawn() {
     let mut analysis = sample_analysis();
     analysis.passages.clear();
     analysis.scan = None;
-    assert!(report::html(&analysis).is_ok());
+    let page = report::html(&analysis).unwrap();
+    assert!(!page.contains("NaN"));
+    assert!(page.contains("0 used, 0 left out") && page.contains("no passages, recorded at 4000 Hz"));
+    assert_eq!(page.matches("<svg").count(), 9);
 }
 
 #[test]
@@ -67,7 +70,10 @@ fn regress_page_with_missing_numbers_is_drawn() {
     analysis.passages[1].speed_m_s = f64::NAN;
     analysis.passages[2].axle_times_s.clear();
     analysis.indicators.peak_force_n.threshold = 0.0;
-    assert!(report::html(&analysis).is_ok());
+    let page = report::html(&analysis).unwrap();
+    assert!(!page.contains("NaN"));
+    assert!(page.contains("24 used, 0 left out"));
+    assert_eq!(page.matches("<svg").count(), 9);
 }
 
 #[test]

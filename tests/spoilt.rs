@@ -1,7 +1,5 @@
 //! Recordings that are not as they should be, in sites of known truth: what `analyse` makes of them is right, or says that it is not.
 
-mod tolerance;
-
 use cpcm::analysis::{Analysis, Condition, PassageResult};
 use cpcm::identify::{Descriptions, Heard, IdentifyError, Misdescription, identify};
 use cpcm::kernel::KernelError;
@@ -12,7 +10,9 @@ use cpcm::recording::truth::read_truth;
 use cpcm::recording::{Passage, Site, read_site};
 use cpcm::scoring::{Score, score};
 use cpcm::vehicle::{AxlePattern, static_wheel_force_n};
+use cpcm_tests::compare::largest_difference;
 use cpcm_tests::sample::{KNOWN_SITES, REFERENCE_SITES, add_step, field};
+use cpcm_tests::tolerance;
 
 /// Some passages of a recorded site.
 fn some_of(name: &str, passages: usize) -> Site {
@@ -32,6 +32,10 @@ fn analysed(site: &Site) -> Analysis {
 /// Passages with a flag, by their place in the site.
 fn flagged(analysis: &Analysis, flag: &str) -> Vec<usize> {
     (0..analysis.passages.len()).filter(|i| analysis.passages[*i].has_flag(flag)).collect()
+}
+
+fn peaks(passages: &[PassageResult]) -> Vec<f64> {
+    passages.iter().flat_map(|p| &p.wheelsets).map(|w| w.peak_force_n.value).collect()
 }
 
 fn with_spikes(samples: &mut [f32]) {
@@ -58,6 +62,7 @@ fn regress_spoilt_passages_spoil_no_others() {
     assert_eq!(flagged(&analysis, "unlike-model"), [1, 3, 5, 7]);
     analysis.passages.retain(PassageResult::explained);
     let peak = score(&analysis, &read_truth(&field("reference-1")).unwrap()).peak;
+    assert_eq!(peak.len(), 5 * 12);
     println!("median peak error of the other passages {:.2} %", 100.0 * Score::median(&peak));
     assert!(Score::median(&peak) < tolerance::PEAK_MEDIAN, "{}", Score::median(&peak));
 }
@@ -143,10 +148,9 @@ fn property_trains_of_the_other_direction_are_left_out() {
         assert_eq!(flagged(&analysis, "other-direction"), (6..6 + few).collect::<Vec<_>>());
         assert_eq!(flagged(&analysis, "unlike-model"), (6..6 + few).collect::<Vec<_>>());
         assert_eq!(analysis.misdescription, None);
-        let same = analysis.passages.iter().zip(&alone.passages);
-        let same = same.flat_map(|(a, b)| a.wheelsets.iter().zip(&b.wheelsets));
-        let worst =
-            same.map(|(a, b)| (a.peak_force_n.value / b.peak_force_n.value - 1.0).abs()).fold(0.0, f64::max);
+        let expected = peaks(&alone.passages);
+        assert_eq!(expected.len(), 6 * 12);
+        let worst = largest_difference(&peaks(&analysis.passages[..6]), &expected);
         assert!(worst < tolerance::BESIDE_OTHERS, "{worst}");
     }
 }
@@ -226,11 +230,9 @@ fn regress_long_recordings_give_the_same_forces() {
         let pause = || quiet.iter().cycle().take(20_000).copied();
         p.acceleration_m_s2 = pause().chain(p.acceleration_m_s2.iter().copied()).chain(pause()).collect();
     }
-    let peaks = |site: &Site| -> Vec<f64> {
-        let wheels = |a: Analysis| a.passages.into_iter().flat_map(|p| p.wheelsets);
-        wheels(analysed(site)).map(|w| w.peak_force_n.value).collect()
-    };
-    let worst = peaks(&long).iter().zip(&peaks(&short)).map(|(a, b)| (a / b - 1.0).abs()).fold(0.0, f64::max);
+    let [found, expected] = [&long, &short].map(|site| peaks(&analysed(site).passages));
+    assert_eq!(expected.len(), 4 * 12);
+    let worst = largest_difference(&found, &expected);
     assert!(worst < tolerance::LONGER_RECORDING, "{worst}");
 }
 

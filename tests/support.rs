@@ -1,5 +1,6 @@
 //! Helpers shared by the whole-system tests.
 
+pub mod compare;
 pub mod diagnosed;
 pub mod elf;
 pub mod flaky_line;

@@ -1,5 +1,4 @@
 //! Tolerances of the whole-system tests, each with its reason.
-#![allow(dead_code, reason = "each test file uses its own part")]
 
 /// Speed of a field recording against the truth, relative, median of a site. Three times what was measured; the
 /// force estimate needs 1e-3.
@@ -18,12 +17,6 @@ pub const SYNTHETIC_FORCE: f64 = 2e-3;
 /// Position of the peak, m: a fifth of the grid's step.
 pub const SYNTHETIC_POSITION_M: f64 = 4e-3;
 
-/// Values that pass through a float64 column are the same bits.
-pub const EXACT: f64 = 0.0;
-
-/// Relative; values that pass through a float32 column once: half a unit in the last place of 24 bits.
-pub const FLOAT32_COLUMN: f64 = 6e-8;
-
 /// A field site with known truth, force peak of every wheelset, relative, median and 90th percentile: what a decision
 /// about maintenance needs.
 pub const PEAK_MEDIAN: f64 = 0.025;
@@ -31,8 +24,8 @@ pub const PEAK_MEDIAN: f64 = 0.025;
 pub const PEAK_P90: f64 = 0.05;
 /// Force peak of one recording at two sampling rates, relative: a tenth of the peaks' error, for noise above the band that is no more.
 pub const OTHER_RATE: f64 = 1e-3;
-/// Force peaks of eight simulated trains of two speeds, relative, median: twice what was measured.
-pub const PEAK_TWO_SPEEDS: f64 = 0.01;
+/// Force peaks of few simulated trains, eight of two speeds or six of one car, relative, median: twice what was measured at two speeds.
+pub const PEAK_OF_FEW_TRAINS: f64 = 0.01;
 /// Curves and p1 over next to no support, relative: 5 and 4 % here, 7 and 6 % with another seed, as the shape p3, 0.1, is three standard
 /// deviations off its prior; a calibration that ends too early leaves 19 and 28 %.
 pub const WAVEFORM_ON_NO_SUPPORT: f64 = 0.1;
@@ -65,7 +58,7 @@ pub struct Asked {
 }
 pub const STIFF_PADS: Asked = Asked { peak_p90: 0.015, waveform: 0.02 };
 pub const SOFT_PADS: Asked = Asked { peak_p90: 0.019, waveform: 0.04 };
-/// Force peak, relative, median: measured 0.0068, 0.0073, 0.0054; posteriors expect 0.006 to 0.0095.
+/// Force peak, relative, median: measured 0.0075, 0.0065, 0.0054; posteriors expect 0.0054 to 0.0088.
 pub const PEAK_MEDIAN_REACHED: f64 = 0.0085;
 /// Position of the impact, m, median: what is asked of the method.
 pub const IMPACT_M: f64 = 0.01;
@@ -82,10 +75,11 @@ pub const P1: f64 = 0.07;
 pub const P2: f64 = 0.03;
 /// Speed of a train, relative: 90th percentile of a site, all of a simulated one.
 pub const SITE_SPEED: f64 = 1e-3;
-/// Sleeper displacement, RMS over peak to peak, median of the passages.
+/// Sleeper displacement, RMS over peak to peak, median of the passages: measured 0.0078, 0.0093, 0.0071.
 pub const DISPLACEMENT: f64 = 0.01;
-/// The node's force peaks against the host's from the same recordings, relative, median.
-pub const NODE_AGAINST_HOST: f64 = 0.03;
+/// The node's force peaks against the host's from the same recordings, relative, median: twice what was measured and more, a part of
+/// what either is off.
+pub const NODE_AGAINST_HOST: f64 = 0.005;
 /// Width of the node's intervals over that of the host's: it has fewer samples and blends speeds.
 pub const NODE_WIDTH: (f64, f64) = (0.9, 1.2);
 /// Part of the true peaks inside the node's 90 % intervals: the host's hold 89 % on that site.
@@ -156,6 +150,8 @@ pub const STEP_SIZE_AND_DECAY: f64 = 0.04;
 
 /// Gaps from `predictions.parquet` against `diagnosis.json`, relative: rounding of sums of some 10⁴ squares.
 pub const GAP_RECOMPUTED: f64 = 1e-9;
+/// A number of `diagnosis.json` as it is read again, relative: the last digit.
+pub const THROUGH_JSON: f64 = 1e-14;
 /// The gap of a fit whose sums are taken in another order, relative: rounding, amplified by the steps of a search.
 pub const SUM_ORDER: f64 = 1e-3;
 

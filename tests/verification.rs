@@ -1,7 +1,5 @@
 //! The forward model and the methods of force identification against closed forms, other programs and the paper.
 
-mod tolerance;
-
 use std::sync::OnceLock;
 
 use cpcm::progress::Silent;
@@ -10,6 +8,7 @@ use cpcm::recording::truth::read_truth;
 use cpcm::scoring::Score;
 use cpcm::verification::{Case, Verification, run, site_methods};
 use cpcm_tests::sample::field;
+use cpcm_tests::tolerance;
 
 /// Half a minute of computing, shared by the tests.
 fn verification() -> &'static Verification {

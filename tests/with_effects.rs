@@ -3,8 +3,6 @@
 //!
 //! `cargo test --release -p cpcm-tests --test with_effects -- --nocapture` prints the numbers.
 
-mod tolerance;
-
 use std::path::Path;
 
 use cpcm::analysis::{Analysis, Interval};
@@ -18,6 +16,7 @@ use cpcm::scenario::effects::{BallastStiffening, LoadTransfer, VoidedSleepers};
 use cpcm::scenario::{Effects, SimulatedSite, read_scenario, simulate};
 use cpcm::scoring::{Score, score};
 use cpcm_tests::sample::{add_step, field};
+use cpcm_tests::tolerance;
 
 /// The example's site with a bed of its own, in numerics of its own.
 fn simulated(effects: Effects) -> SimulatedSite {

@@ -27,7 +27,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut args = std::env::args().skip(1);
     while let Some(arg) = args.next() {
         if arg == "--with-effects" {
-            let diagnosed =
+            let (diagnosed, _) =
                 read_effects(Path::new(&args.next().ok_or("--with-effects wants a diagnosis.json")?))?;
             effects = taken(&diagnosed, &[])?;
             continue;

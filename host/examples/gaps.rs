@@ -48,8 +48,9 @@ fn main() -> Result<(), Box<dyn Error>> {
 
 /// Diagnoses a site and prints diagnosis.json, CPU time and peak memory.
 fn one(dir: &Path) -> Result<(), Box<dyn Error>> {
-    let found = diagnose(&read_site(dir)?, &DiagnoseOptions::default(), &Silent)?;
-    println!("{}", diagnosis_json(&found));
+    let site = read_site(dir)?;
+    let found = diagnose(&site, &DiagnoseOptions::default(), &Silent)?;
+    println!("{}", diagnosis_json(&site.crossing.name, &found));
     Ok(())
 }
 
@@ -121,7 +122,8 @@ impl Truth {
         };
         let number = |v: &toml::Value| v.as_float().or(v.as_integer().map(|i| i as f64));
         let truth = self.values.get(own).and_then(number).map_or(f64::NAN, |v| v * scale);
-        let p = &effect["parameters"][main_parameter(name)];
+        let Some(main) = main_parameter(name) else { return "-".into() };
+        let p = &effect["parameters"][main];
         let at = |key: &str| p[key].as_f64().unwrap_or(f64::NAN);
         let (lower, upper) = (at("lower"), at("upper"));
         let mark = if lower <= truth && truth <= upper { "" } else { " NO" };

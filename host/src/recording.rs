@@ -109,7 +109,10 @@ pub struct Skipped {
 pub fn read_site(dir: &Path) -> Result<Site, RecordingError> {
     let not_a_site = |missing| RecordingError::NotASite { path: dir.into(), missing };
     if !dir.is_dir() {
-        return Err(RecordingError::NoDirectory { path: dir.into() });
+        return Err(match dir.exists() {
+            true => RecordingError::SiteIsAFile { path: dir.into() },
+            false => RecordingError::NoDirectory { path: dir.into() },
+        });
     }
     let crossing_file = dir.join("crossing.toml");
     if !crossing_file.is_file() {

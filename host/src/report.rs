@@ -43,7 +43,7 @@ impl ReportError {
 /// The report as one HTML document.
 pub fn html(analysis: &Analysis) -> Result<String, ReportError> {
     let mut body = headline::html(analysis);
-    body.push_str(&tables::skipped(analysis));
+    body.push_str(&tables::skipped(&analysis.skipped));
     body.push_str("<h2>Condition</h2>\n");
     let explained = analysis.of_explained();
     body.push_str(&left_out(analysis.passages.len() - explained.passages.len(), analysis.passages.len()));
@@ -79,7 +79,10 @@ fn left_out(passages: usize, all: usize) -> String {
 fn provenance(analysis: &Analysis) -> String {
     let ids: Vec<i32> = analysis.passages.iter().map(|p| p.passage_id).collect();
     let range = match (ids.iter().min(), ids.iter().max()) {
-        (Some(first), Some(last)) => format!("passages {first}\u{2013}{last}"),
+        (Some(first), Some(last)) if first != last => {
+            format!("{} passages ({first} \u{2026} {last})", ids.len())
+        }
+        (Some(only), _) => format!("passage {only}"),
         _ => "no passages".into(),
     };
     format!(

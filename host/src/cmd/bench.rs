@@ -15,7 +15,7 @@ use crate::bench::peers::Peers;
 use crate::bench::table::{Target, markdown};
 use crate::bench::{Job, Outcome, Row};
 use crate::progress::Progress as _;
-use crate::recording::files::{create_dir, write_atomic};
+use crate::recording::files::{check_dir, create_dir, write_atomic};
 
 /// Measure CPU time and memory beside the programs that a user would take instead
 ///
@@ -70,6 +70,9 @@ impl BenchArgs {
         if let Some(job) = self.job {
             let answer = job.run(&self.input).map_err(|e| anyhow!("{e}"))?;
             return print(&format!("{answer}\n"));
+        }
+        if let Some(dir) = &self.out {
+            check_dir(dir)?;
         }
         if self.growth {
             return self.growth();

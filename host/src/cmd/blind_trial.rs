@@ -58,9 +58,10 @@ impl BlindTrialArgs {
     pub(super) fn run(self) -> anyhow::Result<()> {
         create_dir(&self.out)?;
         let scores = self.scores();
-        if !self.only.is_empty() && scores.exists() {
+        if !self.resume && scores.exists() {
             bail!(
-                "{} holds the scores of another run, which single trials would replace; choose another --out",
+                "{} holds the scores of another run, which this one would replace; choose another --out, or go on with that one \
+                 (--resume)",
                 scores.display()
             );
         }
@@ -68,13 +69,11 @@ impl BlindTrialArgs {
         bar.begin("trials", self.numbers().len() as u64);
         let scores = self.all(&bar)?;
         drop(bar);
-        if self.check {
-            check(&scores)?;
-        }
         match self.json {
-            true => print_json(&serde_json::to_value(&scores)?),
-            false => print(&table(&scores)),
+            true => print_json(&serde_json::to_value(&scores)?)?,
+            false => print(&table(&scores))?,
         }
+        if self.check { check(&scores) } else { Ok(()) }
     }
 
     /// File of the scores.
@@ -125,7 +124,7 @@ impl BlindTrialArgs {
             return Ok(BTreeMap::new());
         }
         let records: Vec<Record> = serde_json::from_slice(&read_bytes(&path)?).with_context(|| {
-            format!("{} is not from this version of blind-trial; run without --resume", path.display())
+            format!("{} is not from this version of blind-trial; choose another --out", path.display())
         })?;
         let same = |r: &Record| r.seed == self.seed && r.version == version && r.trial < self.trials;
         Ok(records.into_iter().filter(same).map(|r| (r.trial, r.score)).collect())

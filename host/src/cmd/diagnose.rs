@@ -76,7 +76,7 @@ impl DiagnoseArgs {
         write_diagnosis(&self.out, &site.crossing.name, &found)
             .with_context(|| format!("cannot write results to {}", self.out.display()))?;
         if self.json {
-            return print_json(&diagnosis_json(&found));
+            return print_json(&diagnosis_json(&site.crossing.name, &found));
         }
         print(&format!("{}report: {}\n", summary(&found), self.out.join("diagnosis.html").display()))
     }
@@ -93,18 +93,24 @@ fn in_words((name, value, lower, upper): &Stated) -> String {
 }
 
 fn summary(d: &Diagnosis) -> String {
-    let g = &d.gap;
-    let mut text = format!(
-        "{}\ngap           {:.3} before, {:.3} after, noise floor {:.3}\nclosed        {:.0} % (90 %: {:.0} … {:.0} %) on {} held-out passages\n",
-        sentence(d),
-        g.before,
-        g.after,
-        g.noise_floor,
-        100.0 * g.closed_fraction,
-        100.0 * g.closed_fraction_ci90[0],
-        100.0 * g.closed_fraction_ci90[1],
-        d.predictions.len(),
-    );
+    let (g, held_out) = (&d.gap, d.predictions.len());
+    let mut text = format!("{}\n", sentence(d));
+    if d.effects.is_empty() {
+        text.push_str(&format!(
+            "gap           {:.3}, noise floor {:.3}, on {held_out} held-out passages\n",
+            g.before, g.noise_floor
+        ));
+    } else {
+        let [low, high] = g.closed_fraction_ci90.map(|c| 100.0 * c);
+        text.push_str(&format!(
+            "gap           {:.3} before, {:.3} after, noise floor {:.3}\nclosed        {:.0} % (90 %: {low:.0} … {high:.0} %) on {held_out} \
+             held-out passages\n",
+            g.before,
+            g.after,
+            g.noise_floor,
+            100.0 * g.closed_fraction
+        ));
+    }
     for e in &d.effects {
         text.push_str(&format!(
             "effect        {}: {} (probability {:.2})\n",

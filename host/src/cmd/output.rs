@@ -6,7 +6,7 @@ use crate::recording::Skipped;
 
 /// Prints to standard output. A reader that has gone away (`cpcm … | head`) is no failure.
 pub(super) fn print(text: &str) -> anyhow::Result<()> {
-    let mut out = std::io::stdout().lock();
+    let (text, mut out) = (harmless(text), std::io::stdout().lock());
     match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
         Err(error) if error.kind() != ErrorKind::BrokenPipe => Err(error.into()),
         _ => Ok(()),
@@ -31,16 +31,35 @@ pub(super) fn warn(what: &str) {
     complain(&format!("warning: {what}\n"));
 }
 
-/// An error and its causes, outermost first.
+/// An error and its causes, outermost first; none that the one before has said already.
 pub(super) fn print_error(error: &anyhow::Error) {
-    let mut text = format!("error: {error}\n");
-    for cause in error.chain().skip(1) {
-        text.push_str(&format!("  because: {cause}\n"));
+    let mut said = error.to_string();
+    let mut text = format!("error: {said}\n");
+    for cause in error.chain().skip(1).map(ToString::to_string) {
+        if !said.ends_with(&cause) {
+            text.push_str(&format!("  because: {cause}\n"));
+        }
+        said = cause;
     }
     complain(&text);
 }
 
 /// Standard error may be closed too; there is nowhere left to say so.
-fn complain(text: &str) {
-    let _ = std::io::stderr().lock().write_all(text.as_bytes());
+pub(super) fn complain(text: &str) {
+    let _ = std::io::stderr().lock().write_all(harmless(text).as_bytes());
+}
+
+/// Without what would command a terminal: names come from files.
+fn harmless(text: &str) -> String {
+    text.replace(|c: char| c.is_control() && c != '\n' && c != '\t', "\u{fffd}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn property_nothing_printed_commands_a_terminal() {
+        assert_eq!(harmless("GN\u{1b}[31m 648\u{9b}2J\r\n\tµ"), "GN\u{fffd}[31m 648\u{fffd}2J\u{fffd}\n\tµ");
+    }
 }

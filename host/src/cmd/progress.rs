@@ -1,9 +1,10 @@
 //! Progress as a bar on standard error; nothing when that is not a terminal.
 
+use std::fmt::Write;
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::{HumanDuration, ProgressBar, ProgressState, ProgressStyle};
 
 use crate::node_client::Piece;
 use crate::progress::Progress;
@@ -22,10 +23,19 @@ impl Bar {
     }
 }
 
+/// Time left; nothing is known of it before the first step.
+fn left(state: &ProgressState, out: &mut dyn Write) {
+    if state.pos() > 0 {
+        // The bar has no other place to complain.
+        let _ = write!(out, ", {} left", HumanDuration(state.eta()));
+    }
+}
+
 impl Progress for Bar {
     fn begin(&self, stage: &str, steps: u64) {
-        let template = "{spinner} {msg:28} [{bar:32}] {pos}/{len}  {elapsed}, {eta} left";
+        let template = "{spinner} {msg:28} [{bar:32}] {pos}/{len}  {elapsed}{left}";
         let style = ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
+        let style = style.with_key("left", left);
         let bar =
             ProgressBar::new(steps).with_style(style.progress_chars("=> ")).with_message(stage.to_string());
         bar.enable_steady_tick(Duration::from_millis(200));

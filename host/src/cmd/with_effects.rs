@@ -27,7 +27,10 @@ impl Effects {
     /// The site with the effects taken into account, and these in words, with their sizes.
     pub(super) fn included_in(&self, site: Site, purpose: Purpose) -> anyhow::Result<(Site, Vec<String>)> {
         let Some(file) = &self.with_effects else { return Ok((site, Vec::new())) };
-        let diagnosed = read_effects(file).context("cannot read the effects to include")?;
+        let (diagnosed, of_site) = read_effects(file).context("cannot read the effects to include")?;
+        if let Some(other) = of_site.filter(|name| *name != site.crossing.name) {
+            warn(&format!("{} is the diagnosis of {other}, not of {}", file.display(), site.crossing.name));
+        }
         let effects = taken(&diagnosed, &self.take)
             .with_context(|| format!("cannot choose among the effects of {}", file.display()))?;
         warn_of_others(&diagnosed, &self.take);

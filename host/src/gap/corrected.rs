@@ -81,6 +81,7 @@ pub fn corrected(
                 departures.push(departure(effect, (parameter, range), purpose)?);
             }
             How::Steadied => steps = Some(effect),
+            How::Refused(why) => return Err(effect.refused(why)),
         }
     }
     // Last: they take a model of everything else.

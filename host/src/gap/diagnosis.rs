@@ -33,7 +33,7 @@ use super::world::SensorModel;
 use crate::ballast::BallastParameters;
 use crate::progress::Progress;
 use crate::reconstruct::flat_top_m_s2;
-use crate::recording::Site;
+use crate::recording::{Site, Skipped};
 pub use alternatives::Alternative;
 use recorder::Recorder;
 use trust::LeftOut;
@@ -138,7 +138,7 @@ pub struct Diagnosis {
     /// Residuals of the base model for figures: speed, temperature, travel of the front axle, values.
     pub residuals: Vec<Residual>,
     /// Passages left out by the reader.
-    pub skipped: usize,
+    pub skipped: Vec<Skipped>,
     /// What including the effects changes in the results, where it was asked for.
     pub consequences: Option<super::consequences::Consequences>,
     /// Time taken, s; not part of any result file.
@@ -214,7 +214,6 @@ pub fn diagnose(
         Err(GapError::SilentPassages { passage_id }) => {
             let mut out = diagnose_trains(&without(site, &passage_id), options, progress)?;
             out.remarks.insert(0, silent(&passage_id));
-            out.skipped += passage_id.len();
             Ok(out)
         }
         found => found,
@@ -307,7 +306,7 @@ fn diagnose_trains(
     if options.quick {
         out.remarks.insert(0, UNSEARCHED.into());
     }
-    out.skipped = site.skipped.len();
+    out.skipped = site.skipped.clone();
     if let Some(gap) = out.node_gap.filter(|g| *g > NOTABLE) {
         out.remarks.push(format!(
             "the node's own sampling and arithmetic would change the signal by {:.1} %; see whether its range fits",

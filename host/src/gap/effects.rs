@@ -22,7 +22,7 @@ mod voided_sleepers;
 mod wheel_flat;
 mod wheel_out_of_roundness;
 
-use super::effect::{Advice, Effect};
+use super::effect::{Advice, Effect, Stage};
 use super::included::Inclusion;
 use super::latent::Latent;
 
@@ -67,6 +67,11 @@ pub fn advice(name: &str) -> Option<Advice> {
 /// What `--with-effects` does with an effect of the catalogue.
 pub fn inclusion(name: &str) -> Option<Inclusion> {
     of_either(name, |e| e.inclusion(), |e| e.inclusion())
+}
+
+/// Place in the chain of an effect of the catalogue.
+pub fn stage_of(name: &str) -> Option<Stage> {
+    of_either(name, |e| e.stage(), |e| e.stage())
 }
 
 fn of_either<T>(name: &str, of_latent: fn(&dyn Latent) -> T, of_common: fn(&dyn Effect) -> T) -> Option<T> {

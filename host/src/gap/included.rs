@@ -68,6 +68,8 @@ pub enum How {
     Linearised(&'static str, [f64; 2]),
     /// Its steps are found in each recording, and taken off.
     Steadied,
+    /// It cannot be: nothing that the identification starts from would be what it is without the effect. Why.
+    Refused(&'static str),
 }
 
 impl Inclusion {
@@ -131,11 +133,12 @@ pub enum IncludedError {
     },
 }
 
-/// Effects named in a `diagnosis.json`.
-pub fn read_effects(file: &Path) -> Result<Vec<Diagnosed>, IncludedError> {
+/// Effects named in a `diagnosis.json`, and the name of the site that they were found at; those of older versions do not say it.
+pub fn read_effects(file: &Path) -> Result<(Vec<Diagnosed>, Option<String>), IncludedError> {
     let wrong = |what: String| IncludedError::Format { file: file.display().to_string(), what };
     let json: Value = serde_json::from_slice(&read_bytes(file)?).map_err(|e| wrong(e.to_string()))?;
-    diagnosed(&json).map_err(|what| wrong(what.into()))
+    let effects = diagnosed(&json).map_err(|what| wrong(what.into()))?;
+    Ok((effects, json["site"].as_str().map(Into::into)))
 }
 
 fn diagnosed(json: &Value) -> Result<Vec<Diagnosed>, &'static str> {

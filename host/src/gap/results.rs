@@ -28,13 +28,13 @@ pub enum DiagnosisFileError {
 pub fn write_diagnosis(dir: &Path, name: &str, found: &Diagnosis) -> Result<(), DiagnosisFileError> {
     create_dir(dir)?;
     write_predictions(&dir.join("predictions.parquet"), &found.predictions)?;
-    write_atomic(&dir.join("diagnosis.json"), format!("{:#}\n", diagnosis_json(found)).as_bytes())?;
+    write_atomic(&dir.join("diagnosis.json"), format!("{:#}\n", diagnosis_json(name, found)).as_bytes())?;
     write_atomic(&dir.join("diagnosis.html"), diagnosis::html(name, found)?.as_bytes())?;
     Ok(())
 }
 
-/// The content of `diagnosis.json`.
-pub fn diagnosis_json(d: &Diagnosis) -> Value {
+/// The content of `diagnosis.json` of a site of that name.
+pub fn diagnosis_json(site: &str, d: &Diagnosis) -> Value {
     let bands: Vec<Value> = d
         .gap
         .bands
@@ -76,7 +76,14 @@ pub fn diagnosis_json(d: &Diagnosis) -> Value {
     let w = &d.wheels;
     let wheels = json!({"load": w.load, "side_load": w.side_load, "depth": w.depth, "shift_m": w.shift_m,
                         "irregularity_m": w.own_m, "depth_of_trains": d.train_depth});
+    let skipped: Vec<Value> = d
+        .skipped
+        .iter()
+        .map(|s| json!({"passage_id": s.passage_id, "row": s.row, "reason": s.reason}))
+        .collect();
     let mut out = json!({
+        "site": site,
+        "cpcm_version": env!("CARGO_PKG_VERSION"),
         "verdict": d.verdict,
         "gap": {"before": d.gap.before, "after": d.gap.after, "noise_floor": d.gap.noise_floor,
                 "closed_fraction": d.gap.closed_fraction, "closed_fraction_ci90": d.gap.closed_fraction_ci90},
@@ -85,6 +92,7 @@ pub fn diagnosis_json(d: &Diagnosis) -> Value {
         "effects": effects,
         "ranking": ranking,
         "held_out_passages": d.predictions.iter().map(|p| p.passage_id).collect::<Vec<_>>(),
+        "skipped": skipped,
         "identifiability": cosines,
         "remarks": d.remarks,
     });

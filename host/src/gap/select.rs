@@ -6,6 +6,7 @@ use super::fit::{Fit, FitOptions, Frame, Screening, State, fit, replaced, screen
 use super::forward::Detail;
 use super::prospect::promising;
 use crate::identify::spread_out;
+use crate::progress::{Progress, Silent};
 use faer::Mat;
 use faer::linalg::solvers::Solve as _;
 use rayon::prelude::*;
@@ -63,8 +64,8 @@ pub fn round<'e>(
     frame: &Frame,
     standing: Standing<'_, 'e>,
     candidates: &[&'e dyn Effect],
-    hints: &Hints,
-    subset: &[usize],
+    (hints, subset): (&Hints, &[usize]),
+    progress: &dyn Progress,
 ) -> Result<(Vec<Tried<'e>>, Screening), GapError> {
     let Standing { accepted, state, from_afar, afresh } = standing;
     let screening = screen(frame, (accepted, state), candidates, hints, subset)?;
@@ -78,7 +79,7 @@ pub fn round<'e>(
     let with =
         |e: usize| -> Vec<&'e dyn Effect> { accepted.iter().copied().chain([candidates[e]]).collect() };
     let (mut fits, valleys) = if let Some(afar) = from_afar {
-        fits_from_afar(frame, afar, &order, &with, hints, subset)
+        fits_from_afar(frame, afar, (&order, &with), (hints, subset), progress)
     } else {
         let largest = order.first().map_or(0.0, |o| o.1);
         let most = if accepted.is_empty() { FITTED.0 } else { FITTED.1 };
@@ -88,13 +89,17 @@ pub fn round<'e>(
             .map(|(rank, (e, gain, start))| {
                 let passes = rank < most && *gain > LEAST_GAIN && *gain > LEAST_SHARE * largest;
                 let starts = candidates[*e].starts(hints);
-                passes.then(|| candidate(frame, &with(*e), state, &starts, *start, subset)).flatten()
+                let fit =
+                    passes.then(|| candidate(frame, &with(*e), state, &starts, *start, subset)).flatten();
+                progress.step();
+                fit
             })
             .collect();
         (fits, order.iter().map(|_| None).collect())
     };
     if let Some(afresh) = afresh {
-        prefer_what_mends(&mut fits, fits_from_afar(frame, afresh, &order, &with, hints, subset).0, frame);
+        let (again, _) = fits_from_afar(frame, afresh, (&order, &with), (hints, subset), &Silent);
+        prefer_what_mends(&mut fits, again, frame);
     }
     let tried = order
         .into_iter()
@@ -120,10 +125,9 @@ fn prefer_what_mends(fits: &mut [Option<Fit>], afresh: Vec<Option<Fit>>, frame: 
 fn fits_from_afar<'e>(
     frame: &Frame,
     state: &State,
-    order: &[(usize, f64, usize)],
-    with: &(dyn Fn(usize) -> Vec<&'e dyn Effect> + Sync),
-    hints: &Hints,
-    subset: &[usize],
+    (order, with): (&[(usize, f64, usize)], &(dyn Fn(usize) -> Vec<&'e dyn Effect> + Sync)),
+    (hints, subset): (&Hints, &[usize]),
+    progress: &dyn Progress,
 ) -> (Vec<Option<Fit>>, Vec<Option<Valley>>) {
     let few = few_of(subset);
     let (scouted, valleys): (Vec<Option<Fit>>, Vec<Option<Valley>>) = order
@@ -132,6 +136,7 @@ fn fits_from_afar<'e>(
             let list = with(*e);
             let found = from_far_starts(frame, state, &list, hints, &few, SCOUT);
             let valley = valley(&list, &found);
+            progress.step();
             (most_probable(found), valley)
         })
         .unzip();

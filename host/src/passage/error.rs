@@ -16,7 +16,7 @@ pub enum SimulationError {
     #[error("{supports} ballast supports for {sleepers} sleepers; give one per sleeper")]
     Supports { supports: usize, sleepers: usize },
 
-    #[error("{what} = {value} {unit} is outside {min} … {max} {unit}")]
+    #[error("{what} = {value}{} is outside {min} … {max}{}", spaced(.unit), spaced(.unit))]
     OutOfRange { what: &'static str, value: f64, min: f64, max: f64, unit: &'static str },
 
     #[error("the {what} matrix of {place} is not positive definite; check masses and stiffnesses")]
@@ -38,6 +38,11 @@ pub enum SimulationError {
 
     #[error("the simulation left the finite numbers {time_s:.4} s after its start; halve the time step")]
     Diverged { time_s: f64 },
+}
+
+/// A unit behind a blank; nothing where there is none.
+fn spaced(unit: &str) -> String {
+    if unit.is_empty() { String::new() } else { format!(" {unit}") }
 }
 
 /// Refuses a value outside its range, NaN included.

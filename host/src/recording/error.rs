@@ -12,6 +12,9 @@ pub enum RecordingError {
     #[error("there is no directory {path}; check the path of the site")]
     NoDirectory { path: PathBuf },
 
+    #[error("{path} is a file; name the site directory that holds it")]
+    SiteIsAFile { path: PathBuf },
+
     #[error(
         "{path} is not a site directory: {missing} is missing; a site holds crossing.toml and \
          passages.parquet (or passages.csv with passages/*.csv)"

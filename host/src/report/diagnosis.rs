@@ -5,6 +5,7 @@ mod where_figures;
 use super::ReportError;
 use super::page::{self, Figure, Key, escape};
 use super::plot::{Axis, BLUE, GREY, Layer, ORANGE, Plot, Point, range_of};
+use super::tables;
 use crate::gap::consequences::Change;
 use crate::gap::diagnosis::{Diagnosis, Named};
 use crate::gap::effect::Stated;
@@ -18,13 +19,15 @@ pub fn html(site: &str, d: &Diagnosis) -> Result<String, ReportError> {
     body.push_str(&actions(d));
     body.push_str(&consequences(d));
     body.push_str(&remarks(d));
+    body.push_str(&tables::skipped(&d.skipped));
     body.push_str(&bands(d));
     body.push_str(&wheels(d));
     body.push_str(&ladder(d));
     let mut figures = where_figures::all(d)?;
     if let Some(p) = d.predictions.first() {
-        figures.insert(0, trace(p)?);
+        figures.insert(0, trace(p, !d.effects.is_empty())?);
     }
+    body.push_str("<h2>Figures</h2>\n");
     body.extend(figures.iter().map(Figure::html));
     body.push_str(&ranking(d));
     body.push_str(&identifiability(d));
@@ -82,30 +85,45 @@ pub fn sentence(d: &Diagnosis) -> String {
 }
 
 fn headline(site: &str, d: &Diagnosis) -> String {
-    let g = &d.gap;
     format!(
-        "<h1>{}</h1>\n<p><strong>{}</strong></p>\n<p>Gap {:.3} before, {:.3} after, noise floor {:.3}; closed {:.0} % \
-         (90 %: {:.0} \u{2026} {:.0} %).</p>\n",
+        "<h1>{}</h1>\n<p><strong>{}</strong></p>\n<p>{}.</p>\n",
         escape(site),
         sentence(d),
-        g.before,
-        g.after,
-        g.noise_floor,
-        100.0 * g.closed_fraction,
-        100.0 * g.closed_fraction_ci90[0],
-        100.0 * g.closed_fraction_ci90[1]
+        gap_in_words(d)
     )
 }
 
+/// The gap, and how far the effects close it, where there are any.
+fn gap_in_words(d: &Diagnosis) -> String {
+    let g = &d.gap;
+    if d.effects.is_empty() {
+        return format!("Gap {:.3}, noise floor {:.3}", g.before, g.noise_floor);
+    }
+    let [low, high] = g.closed_fraction_ci90.map(|c| 100.0 * c);
+    format!(
+        "Gap {:.3} before, {:.3} after, noise floor {:.3}; closed {:.0} % (90 %: {low:.0} \u{2026} {high:.0} %)",
+        g.before,
+        g.after,
+        g.noise_floor,
+        100.0 * g.closed_fraction
+    )
+}
+
+/// Columns whose first cell is no number hold text.
 fn table(head: &[&str], rows: &[Vec<String>]) -> String {
-    let head: String = head.iter().map(|h| format!("<th>{h}</th>")).collect();
-    let rows: String = rows
-        .iter()
-        .map(|r| {
-            format!("<tr>{}</tr>\n", r.iter().map(|c| format!("<td>{}</td>", escape(c))).collect::<String>())
-        })
-        .collect();
-    format!("<table>\n<tr>{head}</tr>\n{rows}</table>\n")
+    let number = |c: &String| c.starts_with(|c: char| c.is_ascii_digit() || "+-".contains(c));
+    let class = |k: usize| match rows.first().and_then(|r| r.get(k)) {
+        Some(cell) if !number(cell) => " class=\"text\"",
+        _ => "",
+    };
+    let head: String = head.iter().enumerate().map(|(k, h)| format!("<th{}>{h}</th>", class(k))).collect();
+    let cells = |r: &Vec<String>| -> String {
+        r.iter().enumerate().map(|(k, c)| format!("<td{}>{}</td>", class(k), escape(c))).collect()
+    };
+    let rows: String = rows.iter().map(|r| format!("<tr>{}</tr>\n", cells(r))).collect();
+    format!(
+        "<div class=\"scroll\"><table>\n<thead><tr>{head}</tr></thead>\n<tbody>\n{rows}</tbody></table></div>\n"
+    )
 }
 
 /// Three significant digits.
@@ -170,7 +188,7 @@ fn remarks(d: &Diagnosis) -> String {
         return String::new();
     }
     let items: String = d.remarks.iter().map(|r| format!("<li>{}</li>\n", escape(r))).collect();
-    format!("<h2>What these recordings cannot tell</h2>\n<ul>\n{items}</ul>\n")
+    format!("<h2>Notes</h2>\n<ul>\n{items}</ul>\n")
 }
 
 fn bands(d: &Diagnosis) -> String {
@@ -217,13 +235,16 @@ fn ladder(d: &Diagnosis) -> String {
         })
         .collect();
     format!(
-        "<p>Stage after stage put in the place of what the drawing says; residual of the held-out passages, RMS relative to the \
+        "<h2>Stage by stage</h2>\n<p>Stage after stage put in the place of what the drawing says; residual of the held-out passages, RMS relative to the \
          signal.</p>\n{}",
         table(&["substituted", "acceleration", "displacement"], &rows)
     )
 }
 
 fn ranking(d: &Diagnosis) -> String {
+    if d.ranking.is_empty() {
+        return String::new();
+    }
     let rows: Vec<Vec<String>> = d
         .ranking
         .iter()
@@ -256,8 +277,8 @@ fn identifiability(d: &Diagnosis) -> String {
     )
 }
 
-/// First held-out passage: measured, both models.
-fn trace(p: &Prediction) -> Result<Figure, ReportError> {
+/// First held-out passage: measured, base model, and the corrected one where there is one.
+fn trace(p: &Prediction, corrected: bool) -> Result<Figure, ReportError> {
     let (starts, len) = &p.windows;
     let from = starts.first().copied().unwrap_or(0);
     let to = (from + len).min(p.acceleration[0].len());
@@ -265,6 +286,15 @@ fn trace(p: &Prediction) -> Result<Figure, ReportError> {
         (from..to).map(|k| ((k - from) as f64 / crate::gap::data::RATE_HZ, values[k])).collect()
     };
     let lines = p.acceleration.each_ref().map(|a| line(a));
+    let mut layers = vec![
+        Layer::Line { points: lines[0].clone(), color: GREY, opacity: 1.0, width: 6 },
+        Layer::Line { points: lines[1].clone(), color: ORANGE, opacity: 1.0, width: 3 },
+    ];
+    let mut keys = vec![Key::line("measured", GREY), Key::line("base model", ORANGE)];
+    if corrected {
+        layers.push(Layer::Line { points: lines[2].clone(), color: BLUE, opacity: 1.0, width: 3 });
+        keys.push(Key::line("corrected model", BLUE));
+    }
     let svg = Plot {
         x: Axis { caption: "time, s", range: range_of(lines[0].iter().map(|p| p.0), 0.0) },
         y: Axis {
@@ -272,21 +302,13 @@ fn trace(p: &Prediction) -> Result<Figure, ReportError> {
         },
         down: false,
         height: 620,
-        layers: vec![
-            Layer::Line { points: lines[0].clone(), color: GREY, opacity: 1.0, width: 6 },
-            Layer::Line { points: lines[1].clone(), color: ORANGE, opacity: 1.0, width: 3 },
-            Layer::Line { points: lines[2].clone(), color: BLUE, opacity: 1.0, width: 3 },
-        ],
+        layers,
     }
     .svg("First bogie of a held-out passage, measured and predicted")?;
     Ok(Figure {
         title: format!("First bogie of passage {}", p.passage_id),
         caption: "A passage that nothing was learnt from; of it only speed and axle times are used.".into(),
-        keys: vec![
-            Key::line("measured", GREY),
-            Key::line("base model", ORANGE),
-            Key::line("corrected model", BLUE),
-        ],
+        keys,
         svg,
     })
 }

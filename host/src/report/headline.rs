@@ -54,18 +54,20 @@ fn subtitle(analysis: &Analysis) -> String {
         Design::E60 => "60E (soft pads)",
     };
     let direction = c.traffic_direction;
-    let (slow, fast) = speeds_km_h(analysis);
+    let speeds = speeds_km_h(analysis).map(|v| format!("{v:.0}"));
+    let speeds = if speeds[0] == speeds[1] { speeds[0].clone() } else { speeds.join("\u{2013}") };
     let load = c.vehicle.axle_load_kg / 1e3;
     format!(
-        "Crossing panel {design}, {direction} traffic, {slow:.0}\u{2013}{fast:.0} km/h, {} trains of {load:.1} t axle load",
+        "Crossing panel {design}, {direction} traffic, {speeds} km/h, {} trains of {load:.1} t axle load",
         c.vehicle.kind
     )
 }
 
-fn speeds_km_h(analysis: &Analysis) -> (f64, f64) {
+/// Slowest and fastest.
+fn speeds_km_h(analysis: &Analysis) -> [f64; 2] {
     let speeds = analysis.passages.iter().map(|p| 3.6 * p.speed_m_s);
     let (low, high) = speeds.fold((f64::INFINITY, 0.0_f64), |(l, h), v| (l.min(v), h.max(v)));
-    if low.is_finite() { (low, high) } else { (0.0, 0.0) }
+    if low.is_finite() { [low, high] } else { [0.0, 0.0] }
 }
 
 fn facts(analysis: &Analysis) -> Vec<(&'static str, String, String)> {

@@ -69,6 +69,12 @@ pub(super) fn document(title: &str, body: &str) -> String {
     )
 }
 
+/// Characters that turn the direction of the text that follows.
+const DIRECTIONS: [char; 9] = [
+    '\u{202A}', '\u{202B}', '\u{202C}', '\u{202D}', '\u{202E}', '\u{2066}', '\u{2067}', '\u{2068}',
+    '\u{2069}',
+];
+
 /// Text that a site or a file may contain, safe inside HTML and attributes.
 pub(super) fn escape(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
@@ -79,7 +85,7 @@ pub(super) fn escape(text: &str) -> String {
             '>' => out.push_str("&gt;"),
             '"' => out.push_str("&quot;"),
             '\'' => out.push_str("&#39;"),
-            c if c.is_control() && c != '\n' => out.push('\u{FFFD}'),
+            c if c.is_control() && c != '\n' || DIRECTIONS.contains(&c) => out.push('\u{FFFD}'),
             c => out.push(c),
         }
     }
@@ -92,6 +98,6 @@ mod tests {
 
     #[test]
     fn regress_site_names_cannot_carry_markup() {
-        assert_eq!(escape("<script>'&\"\u{1}"), "&lt;script&gt;&#39;&amp;&quot;\u{FFFD}");
+        assert_eq!(escape("<script>'&\"\u{1}\u{202E}"), "&lt;script&gt;&#39;&amp;&quot;\u{FFFD}\u{FFFD}");
     }
 }

@@ -9,9 +9,8 @@ use super::plot::{Axis, BLUE, Layer, ORANGE, Plot, Point, RED, range_of};
 pub(super) fn figure(analysis: &Analysis) -> Result<Figure, ReportError> {
     let spread = analysis.indicators.peak_force_n;
     let threshold = 1e-3 * spread.threshold;
-    let peaks: Vec<Peak> = analysis.passages.iter().flat_map(peaks).collect();
-    let (first, last) = range_of(analysis.passages.iter().map(|p| f64::from(p.passage_id)), 0.0);
-    let ends = (first - 0.8, last + 0.8);
+    let peaks: Vec<Peak> = analysis.passages.iter().enumerate().flat_map(peaks).collect();
+    let ends = (0.2, analysis.passages.len().max(1) as f64 + 0.8);
     let range = range_of(peaks.iter().flat_map(|p| [p.lower, p.upper]).chain([threshold]), 0.06);
     let (low, high) = (1e-3 * spread.p10, 1e-3 * spread.p90);
     let mut layers = vec![
@@ -31,9 +30,9 @@ pub(super) fn figure(analysis: &Analysis) -> Result<Figure, ReportError> {
         Layer::Dashed { points: vec![(ends.0, threshold), (ends.1, threshold)], color: RED, width: 4 },
     ];
     let mean = |p| Layer::Line { points: mean(p), color: ORANGE, opacity: 1.0, width: 6 };
-    layers.extend(analysis.passages.iter().map(mean));
+    layers.extend(analysis.passages.iter().enumerate().map(mean));
     let plot = Plot {
-        x: Axis { caption: "passage", range: ends },
+        x: Axis { caption: "passage, as in the table of peaks", range: ends },
         y: Axis { caption: "peak force, kN", range },
         down: false,
         height: 640,
@@ -65,10 +64,14 @@ struct Peak {
     upper: f64,
 }
 
-/// The wheelsets of a passage stand side by side over its number.
-fn peaks(p: &PassageResult) -> Vec<Peak> {
-    let place =
-        |k: usize| f64::from(p.passage_id) + 0.7 * ((k as f64 + 0.5) / p.wheelsets.len() as f64 - 0.5);
+/// Place of a passage on the axis, from 1 on: identifiers may be far apart.
+fn place(order: usize) -> f64 {
+    order as f64 + 1.0
+}
+
+/// The wheelsets of a passage stand side by side over its place.
+fn peaks((order, p): (usize, &PassageResult)) -> Vec<Peak> {
+    let place = |k: usize| place(order) + 0.7 * ((k as f64 + 0.5) / p.wheelsets.len() as f64 - 0.5);
     let peak = |(k, w): (usize, &crate::analysis::WheelsetResult)| Peak {
         x: place(k),
         value: 1e-3 * w.peak_force_n.value,
@@ -79,8 +82,8 @@ fn peaks(p: &PassageResult) -> Vec<Peak> {
 }
 
 /// A short line at the mean of a passage.
-fn mean(p: &PassageResult) -> Vec<Point> {
+fn mean((order, p): (usize, &PassageResult)) -> Vec<Point> {
     let all: Vec<f64> = p.wheelsets.iter().map(|w| 1e-3 * w.peak_force_n.value).collect();
-    let (id, mean) = (f64::from(p.passage_id), crate::signal::mean(&all));
-    if all.is_empty() { Vec::new() } else { vec![(id - 0.42, mean), (id + 0.42, mean)] }
+    let (x, mean) = (place(order), crate::signal::mean(&all));
+    if all.is_empty() { Vec::new() } else { vec![(x - 0.42, mean), (x + 0.42, mean)] }
 }

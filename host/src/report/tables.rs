@@ -3,19 +3,20 @@
 use std::collections::BTreeSet;
 
 use crate::analysis::{Analysis, WheelsetResult};
+use crate::recording::Skipped;
 
 use super::page::escape;
 
 /// Passages left out, each with its reason; empty when there are none.
-pub(super) fn skipped(analysis: &Analysis) -> String {
-    if analysis.skipped.is_empty() {
+pub(super) fn skipped(skipped: &[Skipped]) -> String {
+    if skipped.is_empty() {
         return String::new();
     }
-    let row = |s: &crate::recording::Skipped| {
+    let row = |s: &Skipped| {
         let id = s.passage_id.map_or("?".into(), |id| id.to_string());
         format!("<tr><td>{id}</td><td>{}</td><td class=\"text\">{}</td></tr>\n", s.row, escape(&s.reason))
     };
-    let rows: String = analysis.skipped.iter().map(row).collect();
+    let rows: String = skipped.iter().map(row).collect();
     format!(
         "<h2>Passages left out</h2>\n<div class=\"scroll\"><table>\n<thead><tr><th>passage</th><th>row</th>\
          <th style=\"text-align:left\">reason</th></tr></thead>\n<tbody>\n{rows}</tbody></table></div>\n"
@@ -36,9 +37,9 @@ pub(super) fn peaks(analysis: &Analysis) -> String {
         };
         let cells: String = wheelsets.iter().map(cell).collect();
         rows.push_str(&format!(
-            "<tr><th>{}</th><td>{:.1}</td><td>{:.0}</td>{cells}</tr>\n",
+            "<tr><th>{}</th><td>{}</td><td>{:.0}</td>{cells}</tr>\n",
             p.passage_id,
-            3.6 * p.speed_m_s,
+            known(3.6 * p.speed_m_s),
             p.temperature_c
         ));
     }
@@ -48,6 +49,11 @@ pub(super) fn peaks(analysis: &Analysis) -> String {
          <thead><tr><th>passage</th><th>speed<br><small>km/h</small></th><th>temp.<br><small>°C</small></th>{head}\
          </tr></thead>\n<tbody>\n{rows}</tbody></table></div>\n"
     )
+}
+
+/// With one decimal; a dash where there is no number.
+fn known(value: f64) -> String {
+    if value.is_finite() { format!("{value:.1}") } else { "\u{2013}".into() }
 }
 
 fn peak_cell(w: &WheelsetResult, threshold: f64) -> String {

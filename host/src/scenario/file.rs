@@ -197,6 +197,9 @@ pub enum ScenarioError {
     #[error(transparent)]
     Recording(#[from] RecordingError),
 
+    #[error("{file} has no [simulation] table; add one as in docs/examples/site.toml")]
+    NoSimulation { file: PathBuf },
+
     #[error("{file}: [simulation] {key}: {reason}")]
     Key { file: PathBuf, key: String, reason: String },
 
@@ -216,6 +219,9 @@ pub fn read_scenario(file: &Path) -> Result<Scenario, ScenarioError> {
     let table: toml::Table = text
         .parse()
         .map_err(|e: toml::de::Error| RecordingError::Toml { file: file.into(), reason: e.to_string() })?;
+    if !table.contains_key("simulation") {
+        return Err(ScenarioError::NoSimulation { file: file.into() });
+    }
     let Wrapper { mut simulation } = serde_path_to_error::deserialize(table).map_err(|e| {
         let key = e.path().to_string().trim_start_matches("simulation.").to_string();
         ScenarioError::Key { file: file.into(), key, reason: e.into_inner().to_string().trim_end().into() }

@@ -11,7 +11,7 @@ use cpcm_shared::message::Activity;
 use cpcm_shared::sample::{RAW_RATE_HZ, SensorCode};
 
 use super::download::{download_into, summary, text};
-use crate::cmd::output::{print, print_json, warn, warn_skipped};
+use crate::cmd::output::{complain, print, print_json, warn, warn_skipped};
 use crate::cmd::progress::Bar;
 use crate::node_client::{Downloaded, NodeClient};
 use crate::node_sim::{
@@ -74,7 +74,7 @@ impl SimulateArgs {
         sense(&site, codes, &node);
         let downloaded = download_into(&mut NodeClient::over(in_process(node.clone())), &self.out, 0)?;
         self.tell(&site, &downloaded)?;
-        self.listen.map_or(Ok(()), |at| listen(at, node))
+        self.listen.map_or(Ok(()), |at| listen(at, node, self.json))
     }
 
     fn tell(&self, site: &Site, downloaded: &Downloaded) -> anyhow::Result<()> {
@@ -144,8 +144,8 @@ fn listening(text: &str) -> Result<Listening, String> {
     }
 }
 
-/// Answers until the program is interrupted.
-fn listen(at: Listening, node: SharedNode) -> anyhow::Result<()> {
+/// Answers until the program is interrupted. Says where; not among the JSON.
+fn listen(at: Listening, node: SharedNode, json: bool) -> anyhow::Result<()> {
     let listener = match at {
         #[cfg(unix)]
         Listening::PseudoTerminal => {
@@ -155,7 +155,12 @@ fn listen(at: Listening, node: SharedNode) -> anyhow::Result<()> {
             Listener::tcp(address, node).with_context(|| format!("cannot listen on {address}"))?
         }
     };
-    print(&format!("the node answers at --port {}; Ctrl-C ends it\n", listener.address))?;
+    let answers = format!("the node answers at --port {}; Ctrl-C ends it\n", listener.address);
+    if json {
+        complain(&answers)
+    } else {
+        print(&answers)?
+    }
     loop {
         std::thread::park();
     }

@@ -113,7 +113,7 @@ impl Session<'_> {
             cosines: self.cosines,
             remarks: self.remarks,
             residuals,
-            skipped: 0,
+            skipped: Vec::new(),
             consequences: None,
             seconds: 0.0,
         })

@@ -46,7 +46,7 @@ impl Session<'_> {
         // A round can take two effects.
         while rounds > 0 && self.named.len() < MOST_EFFECTS {
             rounds -= 1;
-            progress.begin(&format!("effects, round {}", self.named.len() + 1), 2);
+            progress.begin(&format!("effects, round {}", self.named.len() + 1), self.steps_of_round());
             if !self.one_round(progress)? {
                 break;
             }
@@ -85,7 +85,7 @@ impl Session<'_> {
     /// Takes an effect into the model with which that is not lost, as little as with clipping alone, or misses the recordings by far less
     /// than before.
     pub(super) fn search_what_mends(&mut self, progress: &dyn Progress) -> Result<(), GapError> {
-        progress.begin("effects that mend the model", 2);
+        progress.begin("effects that mend the model", self.steps_of_round());
         let mended = self.misfit() - MENDED * (self.misfit() - 1.0);
         if !self.one_round(progress)? {
             return Ok(());
@@ -139,9 +139,8 @@ impl Session<'_> {
         let lost = reference.lost();
         let mut tried = match lost && self.accepted.len() >= MOST_LOST_WITH {
             true => Vec::new(),
-            false => self.fit_common(&reference)?,
+            false => self.fit_common(&reference, progress)?,
         };
-        progress.step();
         let mut list = self.candidates(&tried, &reference, &latent)?;
         let astray = lost && tried.iter().filter_map(|t| t.fit.as_ref()).all(Fit::lost);
         if astray
@@ -184,12 +183,25 @@ impl Session<'_> {
         Ok(false)
     }
 
-    /// Fits every effect of the panel that is not named yet on top of a fit.
-    fn fit_common(&mut self, reference: &Fit) -> Result<Vec<Tried<'static>>, GapError> {
-        let frame = &self.base.frame;
+    /// Effects of the panel that are not named yet.
+    fn left(&self) -> Vec<&'static dyn Effect> {
         let named = |e: &&dyn Effect| self.named.iter().any(|n| n.name == e.name());
-        let candidates: Vec<&'static dyn Effect> =
-            self.common.iter().copied().filter(|e| !named(e)).collect();
+        self.common.iter().copied().filter(|e| !named(e)).collect()
+    }
+
+    /// Effects of wheels and recordings are one step of the progress, each of the panel is one.
+    fn steps_of_round(&self) -> u64 {
+        1 + self.left().len() as u64
+    }
+
+    /// Fits every effect of the panel that is not named yet on top of a fit.
+    fn fit_common(
+        &mut self,
+        reference: &Fit,
+        progress: &dyn Progress,
+    ) -> Result<Vec<Tried<'static>>, GapError> {
+        let frame = &self.base.frame;
+        let candidates = self.left();
         let state = &reference.state;
         let lost = reference.lost();
         let nominal = state.on_nominal_ballast();
@@ -200,7 +212,7 @@ impl Session<'_> {
         };
         let afresh = (!lost && state.odd_bed()).then_some(&nominal);
         let standing = Standing { accepted: &self.accepted, state, from_afar, afresh };
-        let (tried, screening) = round(frame, standing, &candidates, &self.hints, self.search)?;
+        let (tried, screening) = round(frame, standing, &candidates, (&self.hints, self.search), progress)?;
         if self.cosines.is_empty() {
             self.cosines = cosines(&screening, &candidates);
         }

@@ -1,8 +1,9 @@
 //! The score of a diagnosis against the opened answer of its trial.
 
-use serde_json::Value;
+use serde_json::{Value, json};
 
 use super::{Answer, Question};
+use crate::gap::effects::stage_of;
 
 /// Score of one trial.
 #[derive(Clone, Debug, serde::Serialize, serde::Deserialize)]
@@ -51,13 +52,13 @@ pub fn score(answer: Answer, diagnosis: &Value) -> Score {
         Question::Pair => answer.effects.iter().all(|e| groups.iter().any(|g| holds(g, e))),
         Question::LeftOut => {
             let stage = text(&diagnosis["where"]["stage"]);
-            verdict == "unexplained" || answer.effects.iter().any(|e| stage == stage_of(e))
+            verdict == "unexplained" || answer.effects.iter().any(|e| is_of(&stage, e))
         }
     };
     let ends = |e: &Value| {
         let name = text(&e["name"]);
         let (_, value) = answer.parameters.iter().find(|(n, _)| *n == name)?;
-        let p = &e["parameters"][main_parameter(&name)];
+        let p = &e["parameters"][main_parameter(&name)?];
         let (a, b) = (p["lower"].as_f64()? / value - 1.0, p["upper"].as_f64()? / value - 1.0);
         Some([a.min(b), a.max(b)])
     };
@@ -117,9 +118,9 @@ pub fn bins(scores: &[Score]) -> Vec<Bin> {
         .collect()
 }
 
-/// The parameter of an effect that a trial draws, as the diagnosis names it.
-pub fn main_parameter(name: &str) -> &'static str {
-    match name {
+/// The parameter of an effect that a trial draws, as the diagnosis names it; none where that has one for either side.
+pub fn main_parameter(name: &str) -> Option<&'static str> {
+    Some(match name {
         "voided-sleepers" => "gap_m",
         "ballast-stiffening" => "doubling_m",
         "ballast-mass" => "mass_kg_m",
@@ -136,23 +137,30 @@ pub fn main_parameter(name: &str) -> &'static str {
         "hollow-wheels" => "depth_factor",
         "tonal" => "amplitude_m_s2",
         "bias-step" => "step_m_s2",
-        _ => "factor",
-    }
+        "pad-stiffness" | "axle-load" | "unsprung-mass" => "factor",
+        _ => return None,
+    })
 }
 
-/// Stage of an effect in the contract.
-fn stage_of(name: &str) -> &'static str {
-    match name {
-        "gain-temperature" | "saturation" | "bias-step" | "mount-resonance" | "tonal" => "sensor",
-        "clock-error" => "timing",
-        "stock-irregularity" => "geometry",
-        "axle-load"
-        | "unsprung-mass"
-        | "load-transfer"
-        | "front-rear"
-        | "wheel-out-of-roundness"
-        | "wheel-flat"
-        | "hollow-wheels" => "vehicle",
-        _ => "track",
+/// Whether an effect of the catalogue is of a stage of the contract.
+fn is_of(stage: &str, effect: &str) -> bool {
+    stage_of(effect).is_some_and(|s| json!(s) == stage)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gap::effects::{common, names};
+
+    #[test]
+    fn property_the_main_parameter_is_one_of_the_diagnosis() {
+        for name in names() {
+            let main = main_parameter(name);
+            assert_eq!(main.is_none(), name == "support-loss", "{name}");
+            let known = common(name).map_or(&[][..], |e| e.parameters());
+            let is_there = |main| known.is_empty() || known.iter().any(|p| p.name == main);
+            assert!(main.is_none_or(is_there), "{name}: {main:?}");
+        }
+        assert!(is_of("sensor", "tonal") && is_of("track", "pad-stiffness") && !is_of("track", "tonal"));
     }
 }

@@ -231,7 +231,7 @@ fn put(effects: &mut Effects, (name, level): (&str, f64), mut random: Random) ->
             effects.wheel_flat = Some(kinds::WheelFlats { length_m, share: random.between(0.1, 0.5) });
             length_m
         }
-        _ => {
+        "hollow-wheels" => {
             let depth_factor = between(1.1, 3.0);
             effects.hollow_wheels = Some(kinds::HollowWheels {
                 depth_factor,
@@ -240,6 +240,7 @@ fn put(effects: &mut Effects, (name, level): (&str, f64), mut random: Random) ->
             });
             depth_factor
         }
+        _ => unreachable!("{name} is drawn, and nothing puts it into a scenario"),
     }
 }
 
@@ -261,6 +262,9 @@ mod tests {
     fn property_a_level_moves_every_effect() {
         for name in DRAWN {
             let value = |level: f64| put(&mut Effects::default(), (name, level), Random::new(1, 2));
+            let mut effects = Effects::default();
+            put(&mut effects, (name, 0.5), Random::new(1, 2));
+            assert_eq!(effects.names(), [name]);
             let (low, middle, high) = (value(0.0), value(0.5), value(1.0));
             assert!((middle - low) * (high - middle) > 0.0, "{name}: {low} {middle} {high}");
         }

@@ -1,6 +1,8 @@
 //! Where the gap is: residuals along the track, over frequency, in position against time, and against what varies between
 //! passages.
 
+use plotters::style::RGBColor;
+
 use super::super::ReportError;
 use super::super::page::{Figure, Key};
 use super::super::plot::{Axis, BLUE, GREEN, GREY, Layer, ORANGE, Plot, Point, RED, range_of};
@@ -57,8 +59,14 @@ fn by_speed(d: &Diagnosis) -> Vec<&Residual> {
     rows
 }
 
-fn models() -> Vec<Key> {
-    vec![Key::line("base model", ORANGE), Key::line("corrected model", BLUE)]
+/// The models that are drawn: without an effect in it, the corrected model is the base model.
+fn drawn(d: &Diagnosis) -> usize {
+    if d.effects.is_empty() { 1 } else { 2 }
+}
+
+fn keys_of(d: &Diagnosis, key: fn(&'static str, RGBColor) -> Key) -> Vec<Key> {
+    let both = [key("base model", ORANGE), key("corrected model", BLUE)];
+    both.into_iter().take(drawn(d)).collect()
 }
 
 /// Residual along the track, one line per passage, ordered by speed.
@@ -70,8 +78,9 @@ fn residual_map(d: &Diagnosis) -> Result<Figure, ReportError> {
     };
     let mut layers = Vec::new();
     for (k, r) in rows.iter().enumerate() {
-        layers.push(Layer::Line { points: line(k, r, &r.before), color: ORANGE, opacity: 0.9, width: 2 });
-        layers.push(Layer::Line { points: line(k, r, &r.after), color: BLUE, opacity: 0.9, width: 2 });
+        for (values, color) in [(&r.before, ORANGE), (&r.after, BLUE)].into_iter().take(drawn(d)) {
+            layers.push(Layer::Line { points: line(k, r, values), color, opacity: 0.9, width: 2 });
+        }
     }
     let svg = Plot {
         x: Axis {
@@ -90,7 +99,7 @@ fn residual_map(d: &Diagnosis) -> Result<Figure, ReportError> {
             "Mean over the bogies of a train; one unit is {largest:.1} m/s². Features above one another are fixed to the track, \
              features that lean are fixed in time."
         ),
-        keys: models(),
+        keys: keys_of(d, Key::line),
         svg,
     })
 }
@@ -122,7 +131,7 @@ fn frequency_map(d: &Diagnosis) -> Result<Figure, ReportError> {
     let largest = rows.iter().flatten().flatten().map(|p| p.1).fold(1e-9, f64::max);
     let mut layers = Vec::new();
     for (k, row) in rows.iter().enumerate() {
-        for (points, color) in row.iter().zip([ORANGE, BLUE]) {
+        for (points, color) in row.iter().zip([ORANGE, BLUE]).take(drawn(d)) {
             let points = points.iter().map(|(f, v)| (*f, k as f64 + 1.0 + OVERLAP * v / largest)).collect();
             layers.push(Layer::Line { points, color, opacity: 0.9, width: 2 });
         }
@@ -146,7 +155,7 @@ fn frequency_map(d: &Diagnosis) -> Result<Figure, ReportError> {
              upright are resonances or tones, ridges that lean have a wavelength.",
             largest / OVERLAP
         ),
-        keys: models(),
+        keys: keys_of(d, Key::line),
         svg,
     })
 }
@@ -188,12 +197,8 @@ fn laid_over(
     })
 }
 
-fn dots(points: &[Point], color: plotters::style::RGBColor) -> Layer {
+fn dots(points: &[Point], color: RGBColor) -> Layer {
     Layer::Dots { points: points.to_vec(), color, opacity: 0.8, size: 9 }
-}
-
-fn dot_keys() -> Vec<Key> {
-    vec![Key::dot("base model", ORANGE), Key::dot("corrected model", BLUE)]
 }
 
 /// Size of the residual against a covariate.
@@ -209,13 +214,13 @@ fn against(d: &Diagnosis, caption: &'static str, of: Covariate) -> Result<Figure
         },
         down: false,
         height: 560,
-        layers: vec![dots(&before, ORANGE), dots(&after, BLUE)],
+        layers: [dots(&before, ORANGE), dots(&after, BLUE)].into_iter().take(drawn(d)).collect(),
     }
     .svg(&title)?;
     Ok(Figure {
         title,
         caption: "One point per passage, mean over its bogies.".into(),
-        keys: dot_keys(),
+        keys: keys_of(d, Key::dot),
         svg,
     })
 }
@@ -261,6 +266,13 @@ fn bogies(d: &Diagnosis) -> Result<Figure, ReportError> {
             (k as f64 + 1.0, mean(&of))
         })
         .collect();
+    let (color, key) = match drawn(d) {
+        1 => (ORANGE, "mean"),
+        _ => (BLUE, "mean of the corrected model"),
+    };
+    let mut layers: Vec<Layer> =
+        [dots(&before, ORANGE), dots(&after, BLUE)].into_iter().take(drawn(d)).collect();
+    layers.push(Layer::Line { points: means, color, opacity: 1.0, width: 3 });
     let title = "Spread over the bogies of a train";
     let svg = Plot {
         x: Axis { caption: "bogie, front of the train first", range: (0.5, count.max(1) as f64 + 0.5) },
@@ -270,15 +282,11 @@ fn bogies(d: &Diagnosis) -> Result<Figure, ReportError> {
         },
         down: false,
         height: 560,
-        layers: vec![
-            dots(&before, ORANGE),
-            dots(&after, BLUE),
-            Layer::Line { points: means, color: BLUE, opacity: 1.0, width: 3 },
-        ],
+        layers,
     }
     .svg(title)?;
-    let mut keys = dot_keys();
-    keys.push(Key::line("mean of the corrected model", BLUE));
+    let mut keys = keys_of(d, Key::dot);
+    keys.push(Key::line(key, color));
     Ok(Figure {
         title: title.into(),
         caption: "One point per bogie, that is two wheelsets, and passage. Points far above their column are single wheels.".into(),

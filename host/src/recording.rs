@@ -90,8 +90,8 @@ pub struct Scan {
     pub irregularity_m: Vec<f64>,
 }
 
-/// A passage that was left out.
-#[derive(Clone, Debug, PartialEq)]
+/// A passage that was left out. Serialised as it stands in the results.
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct Skipped {
     /// Identifier in the file, where it could be read.
     pub passage_id: Option<i32>,

@@ -17,7 +17,7 @@ use crate::gap::receptance::read_receptance;
 use crate::gap::results::{diagnosis_json, write_diagnosis};
 use crate::recording::files::check_dir;
 use crate::recording::read_site;
-use crate::report::diagnosis::{sentence, significant};
+use crate::report::diagnosis::{closed_in_words, gap_in_words, sentence, significant};
 
 /// Say why recordings and simulation of a crossing differ: where, which effect, and how far the gap shrinks with it
 ///
@@ -93,24 +93,13 @@ fn in_words((name, value, lower, upper): &Stated) -> String {
 }
 
 fn summary(d: &Diagnosis) -> String {
-    let (g, held_out) = (&d.gap, d.predictions.len());
-    let mut text = format!("{}\n", sentence(d));
-    if d.effects.is_empty() {
-        text.push_str(&format!(
-            "gap           {:.3}, noise floor {:.3}, on {held_out} held-out passages\n",
-            g.before, g.noise_floor
-        ));
-    } else {
-        let [low, high] = g.closed_fraction_ci90.map(|c| 100.0 * c);
-        text.push_str(&format!(
-            "gap           {:.3} before, {:.3} after, noise floor {:.3}\nclosed        {:.0} % (90 %: {low:.0} … {high:.0} %) on {held_out} \
-             held-out passages\n",
-            g.before,
-            g.after,
-            g.noise_floor,
-            100.0 * g.closed_fraction
-        ));
-    }
+    let closed = closed_in_words(d).map_or(",".into(), |c| format!("\nclosed        {c}"));
+    let mut text = format!(
+        "{}\ngap           {}{closed} on {} held-out passages\n",
+        sentence(d),
+        gap_in_words(d),
+        d.predictions.len()
+    );
     for e in &d.effects {
         text.push_str(&format!(
             "effect        {}: {} (probability {:.2})\n",

@@ -212,12 +212,23 @@ pub fn diagnose(
 ) -> Result<Diagnosis, GapError> {
     match diagnose_trains(site, options, progress) {
         Err(GapError::SilentPassages { passage_id }) => {
-            let mut out = diagnose_trains(&without(site, &passage_id), options, progress)?;
-            out.remarks.insert(0, silent(&passage_id));
-            Ok(out)
+            let remark = silent(&passage_id);
+            diagnose_without(&LeftOut { passage_id, remark }, site, options, progress)
         }
         found => found,
     }
+}
+
+/// Diagnoses what is left of a site, and says what is left out.
+fn diagnose_without(
+    out: &LeftOut,
+    site: &Site,
+    options: &DiagnoseOptions,
+    progress: &dyn Progress,
+) -> Result<Diagnosis, GapError> {
+    let mut found = diagnose(&without(site, &out.passage_id), options, progress)?;
+    found.remarks.insert(0, out.remark.clone());
+    Ok(found)
 }
 
 fn silent(passage_id: &[i32]) -> String {
@@ -287,9 +298,8 @@ fn diagnose_trains(
         searched = false;
     }
     searched &= session.well_described(site) && session.trustworthy(site);
-    if let Some(LeftOut { passage_id, remark }) = session.left_out.take() {
-        let mut out = diagnose(&without(site, &passage_id), options, progress)?;
-        out.remarks.insert(0, remark);
+    if let Some(left_out) = &session.left_out {
+        let mut out = diagnose_without(left_out, site, options, progress)?;
         out.seconds = clock.elapsed().as_secs_f64();
         return Ok(out);
     }

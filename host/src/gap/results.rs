@@ -76,11 +76,6 @@ pub fn diagnosis_json(site: &str, d: &Diagnosis) -> Value {
     let w = &d.wheels;
     let wheels = json!({"load": w.load, "side_load": w.side_load, "depth": w.depth, "shift_m": w.shift_m,
                         "irregularity_m": w.own_m, "depth_of_trains": d.train_depth});
-    let skipped: Vec<Value> = d
-        .skipped
-        .iter()
-        .map(|s| json!({"passage_id": s.passage_id, "row": s.row, "reason": s.reason}))
-        .collect();
     let mut out = json!({
         "site": site,
         "cpcm_version": env!("CARGO_PKG_VERSION"),
@@ -92,7 +87,7 @@ pub fn diagnosis_json(site: &str, d: &Diagnosis) -> Value {
         "effects": effects,
         "ranking": ranking,
         "held_out_passages": d.predictions.iter().map(|p| p.passage_id).collect::<Vec<_>>(),
-        "skipped": skipped,
+        "skipped": d.skipped,
         "identifiability": cosines,
         "remarks": d.remarks,
     });

@@ -85,45 +85,36 @@ pub fn sentence(d: &Diagnosis) -> String {
 }
 
 fn headline(site: &str, d: &Diagnosis) -> String {
+    let closed = closed_in_words(d).map_or(String::new(), |c| format!("; closed {c}"));
     format!(
-        "<h1>{}</h1>\n<p><strong>{}</strong></p>\n<p>{}.</p>\n",
+        "<h1>{}</h1>\n<p><strong>{}</strong></p>\n<p>Gap {}{closed}.</p>\n",
         escape(site),
         sentence(d),
         gap_in_words(d)
     )
 }
 
-/// The gap, and how far the effects close it, where there are any.
-fn gap_in_words(d: &Diagnosis) -> String {
+/// The gap; before and after only where an effect is in the model.
+pub fn gap_in_words(d: &Diagnosis) -> String {
     let g = &d.gap;
-    if d.effects.is_empty() {
-        return format!("Gap {:.3}, noise floor {:.3}", g.before, g.noise_floor);
+    match d.effects.is_empty() {
+        true => format!("{:.3}, noise floor {:.3}", g.before, g.noise_floor),
+        false => format!("{:.3} before, {:.3} after, noise floor {:.3}", g.before, g.after, g.noise_floor),
     }
-    let [low, high] = g.closed_fraction_ci90.map(|c| 100.0 * c);
-    format!(
-        "Gap {:.3} before, {:.3} after, noise floor {:.3}; closed {:.0} % (90 %: {low:.0} \u{2026} {high:.0} %)",
-        g.before,
-        g.after,
-        g.noise_floor,
-        100.0 * g.closed_fraction
-    )
+}
+
+/// How far the effects close it, where there are any.
+pub fn closed_in_words(d: &Diagnosis) -> Option<String> {
+    let [closed, low, high] =
+        [d.gap.closed_fraction, d.gap.closed_fraction_ci90[0], d.gap.closed_fraction_ci90[1]]
+            .map(|c| 100.0 * c);
+    (!d.effects.is_empty()).then(|| format!("{closed:.0} % (90 %: {low:.0} \u{2026} {high:.0} %)"))
 }
 
 /// Columns whose first cell is no number hold text.
 fn table(head: &[&str], rows: &[Vec<String>]) -> String {
     let number = |c: &String| c.starts_with(|c: char| c.is_ascii_digit() || "+-".contains(c));
-    let class = |k: usize| match rows.first().and_then(|r| r.get(k)) {
-        Some(cell) if !number(cell) => " class=\"text\"",
-        _ => "",
-    };
-    let head: String = head.iter().enumerate().map(|(k, h)| format!("<th{}>{h}</th>", class(k))).collect();
-    let cells = |r: &Vec<String>| -> String {
-        r.iter().enumerate().map(|(k, c)| format!("<td{}>{}</td>", class(k), escape(c))).collect()
-    };
-    let rows: String = rows.iter().map(|r| format!("<tr>{}</tr>\n", cells(r))).collect();
-    format!(
-        "<div class=\"scroll\"><table>\n<thead><tr>{head}</tr></thead>\n<tbody>\n{rows}</tbody></table></div>\n"
-    )
+    tables::plain(head, rows, |k| rows.first().and_then(|r| r.get(k)).is_some_and(|c| !number(c)))
 }
 
 /// Three significant digits.

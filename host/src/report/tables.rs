@@ -7,6 +7,19 @@ use crate::recording::Skipped;
 
 use super::page::escape;
 
+/// A table of plain cells; columns that are `text` stand left and may wrap.
+pub(super) fn plain(head: &[impl AsRef<str>], rows: &[Vec<String>], text: impl Fn(usize) -> bool) -> String {
+    let class = |k: usize| if text(k) { " class=\"text\"" } else { "" };
+    let cell = |tag: &str, (k, c): (usize, &str)| format!("<{tag}{}>{}</{tag}>", class(k), escape(c));
+    let head: String = head.iter().enumerate().map(|(k, h)| cell("th", (k, h.as_ref()))).collect();
+    let cells =
+        |row: &Vec<String>| row.iter().enumerate().map(|(k, c)| cell("td", (k, c))).collect::<String>();
+    let rows: String = rows.iter().map(|row| format!("<tr>{}</tr>\n", cells(row))).collect();
+    format!(
+        "<div class=\"scroll\"><table>\n<thead><tr>{head}</tr></thead>\n<tbody>\n{rows}</tbody></table></div>\n"
+    )
+}
+
 /// Passages left out, each with its reason; empty when there are none.
 pub(super) fn skipped(skipped: &[Skipped]) -> String {
     if skipped.is_empty() {
@@ -14,13 +27,10 @@ pub(super) fn skipped(skipped: &[Skipped]) -> String {
     }
     let row = |s: &Skipped| {
         let id = s.passage_id.map_or("?".into(), |id| id.to_string());
-        format!("<tr><td>{id}</td><td>{}</td><td class=\"text\">{}</td></tr>\n", s.row, escape(&s.reason))
+        vec![id, s.row.to_string(), s.reason.clone()]
     };
-    let rows: String = skipped.iter().map(row).collect();
-    format!(
-        "<h2>Passages left out</h2>\n<div class=\"scroll\"><table>\n<thead><tr><th>passage</th><th>row</th>\
-         <th style=\"text-align:left\">reason</th></tr></thead>\n<tbody>\n{rows}</tbody></table></div>\n"
-    )
+    let rows: Vec<Vec<String>> = skipped.iter().map(row).collect();
+    format!("<h2>Passages left out</h2>\n{}", plain(&["passage", "row", "reason"], &rows, |k| k == 2))
 }
 
 /// Force peak of every wheelset: one row per passage, one column per wheelset.
@@ -88,7 +98,7 @@ pub(super) fn flags(analysis: &Analysis) -> String {
     let rows: String = names.iter().map(row).collect();
     format!(
         "<div class=\"scroll\"><table>\n<caption>Limits of the method that results touch.</caption>\n<thead><tr>\
-         <th style=\"text-align:left\">flag</th><th>wheelsets</th><th style=\"text-align:left\">in passages</th></tr>\
+         <th class=\"text\">flag</th><th>wheelsets</th><th class=\"text\">in passages</th></tr>\
          </thead>\n<tbody>\n{rows}</tbody></table></div>\n"
     )
 }

@@ -4,7 +4,7 @@ use crate::verification::{Case, Curves, Table, Verification};
 
 use super::page::{self, Figure, Key, escape};
 use super::plot::{Axis, BLUE, Layer, ORANGE, Plot, range_of};
-use super::{ReportError, text::padded};
+use super::{ReportError, tables, text::padded};
 
 /// The page: a table of all checks, then the curves.
 pub fn html(verification: &Verification) -> Result<String, ReportError> {
@@ -17,8 +17,8 @@ pub fn html(verification: &Verification) -> Result<String, ReportError> {
     let mut body = format!(
         "<h1>Verification</h1>\n<p class=\"sub\">cpcm {} against closed forms, other programs and the paper</p>\n\
          <section class=\"headline {class}\"><p class=\"verdict\">{verdict}</p></section>\n<h2>Checks</h2>\n\
-         <div class=\"scroll\"><table>\n<thead><tr><th style=\"text-align:left\">check</th>\
-         <th style=\"text-align:left\">source</th><th>expected</th><th>found</th><th>unit</th><th>error</th>\
+         <div class=\"scroll\"><table>\n<thead><tr><th class=\"text\">check</th>\
+         <th class=\"text\">source</th><th>expected</th><th>found</th><th>unit</th><th>error</th>\
          <th>allowed</th></tr></thead>\n<tbody>\n{rows}</tbody></table></div>\n",
         env!("CARGO_PKG_VERSION")
     );
@@ -47,23 +47,11 @@ fn row(case: &Case) -> String {
 }
 
 pub(super) fn table_html(table: &Table) -> String {
-    let side = |i: usize| if i == 0 { " style=\"text-align:left\"" } else { "" };
-    let head: String =
-        table.columns.iter().enumerate().map(|(i, c)| format!("<th{}>{}</th>", side(i), escape(c))).collect();
-    let line = |row: &Vec<String>| {
-        let cells: String = row
-            .iter()
-            .enumerate()
-            .map(|(i, c)| format!("<td{}>{}</td>", if i == 0 { " class=\"text\"" } else { "" }, escape(c)))
-            .collect();
-        format!("<tr>{cells}</tr>\n")
-    };
-    let rows: String = table.rows.iter().map(line).collect();
     format!(
-        "<h2>{}</h2>\n<p>{}</p>\n<div class=\"scroll\"><table>\n<thead><tr>{head}</tr></thead>\n<tbody>\n{rows}</tbody>\
-         </table></div>\n",
+        "<h2>{}</h2>\n<p>{}</p>\n{}",
         escape(&table.title),
-        escape(&table.note)
+        escape(&table.note),
+        tables::plain(&table.columns, &table.rows, |k| k == 0)
     )
 }
 

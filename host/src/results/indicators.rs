@@ -3,6 +3,7 @@
 use serde::Serialize;
 
 use crate::analysis::{Analysis, Condition, Indicators, Interval, Spread};
+use crate::recording::Skipped;
 
 #[derive(Serialize)]
 struct File<'a> {
@@ -58,14 +59,7 @@ struct Passages<'a> {
     /// Read, and not explained by the model (flag `unlike-model`).
     left_out: Vec<i32>,
     /// Not usable, as read.
-    skipped: Vec<SkippedJson<'a>>,
-}
-
-#[derive(Serialize)]
-struct SkippedJson<'a> {
-    passage_id: Option<i32>,
-    row: usize,
-    reason: &'a str,
+    skipped: &'a [Skipped],
 }
 
 impl From<Interval> for IntervalJson {
@@ -86,11 +80,6 @@ fn indicator(spread: Spread, column: &'static str) -> Indicator {
 /// The text of `indicators.json`.
 pub(super) fn json(analysis: &Analysis) -> String {
     let (i, b) = (&analysis.indicators, &analysis.ballast);
-    let skipped = analysis
-        .skipped
-        .iter()
-        .map(|s| SkippedJson { passage_id: s.passage_id, row: s.row, reason: &s.reason })
-        .collect();
     let file = File {
         site: &analysis.crossing.name,
         cpcm_version: env!("CARGO_PKG_VERSION"),
@@ -109,7 +98,7 @@ pub(super) fn json(analysis: &Analysis) -> String {
             used: analysis.used_and_left_out().0,
             wheelsets: analysis.wheelsets(),
             left_out: analysis.passages.iter().filter(|p| !p.explained()).map(|p| p.passage_id).collect(),
-            skipped,
+            skipped: &analysis.skipped,
         },
         effects_included: &analysis.effects_included,
     };

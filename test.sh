@@ -7,19 +7,39 @@ cd "$(dirname "$0")"
 begin=$(date +%s)
 step() { printf '\n== %s (after %s s)\n' "$1" "$(($(date +%s) - begin))"; }
 
+# A package of Debian's, where this may install one.
+install() {
+    command -v apt-get >/dev/null || return 1
+    if [ "$(id -u)" = 0 ]; then
+        sudo=
+    elif sudo -n true 2>/dev/null; then
+        sudo=sudo
+    else
+        return 1
+    fi
+    $sudo apt-get update && $sudo apt-get install --yes --no-install-recommends "$1"
+}
+
 step "tools"
 rustup target add thumbv7em-none-eabihf
-if ! command -v qemu-system-arm >/dev/null; then
-    if command -v apt-get >/dev/null && [ "$(id -u)" = 0 ]; then
-        apt-get update && apt-get install --yes --no-install-recommends qemu-system-arm
-    elif command -v apt-get >/dev/null && sudo -n true 2>/dev/null; then
-        sudo apt-get update && sudo apt-get install --yes --no-install-recommends qemu-system-arm
-    else
-        echo "qemu-system-arm (7.2 or later) is missing and cannot be installed from here. Install it and run again:" >&2
-        echo "  Debian, Ubuntu: apt-get install qemu-system-arm;  Fedora: dnf install qemu-system-arm;  macOS: brew install qemu" >&2
+if ! command -v qemu-system-arm >/dev/null && ! install qemu-system-arm; then
+    echo "qemu-system-arm (7.2 or later) is missing and cannot be installed from here. Install it and run again:" >&2
+    echo "  Debian, Ubuntu: apt-get install qemu-system-arm;  Fedora: dnf install qemu-system-arm;  macOS: brew install qemu" >&2
+    exit 1
+fi
+# A test has bench/closed_fraction.py recompute what a diagnosis states.
+CPCM_PYTHON=${CPCM_PYTHON:-python3}
+if ! "$CPCM_PYTHON" -c 'import numpy, pyarrow.parquet' 2>/dev/null; then
+    CPCM_PYTHON="$PWD/target/python/bin/python3"
+    python3 -m venv target/python || { install python3-venv && python3 -m venv target/python; } || true
+    if ! "$CPCM_PYTHON" -m pip install --quiet numpy pyarrow; then
+        echo "Python 3 with numpy and pyarrow is missing and cannot be installed from here. Install them and run again:" >&2
+        echo "  python3 -m pip install numpy pyarrow, or name a Python that has both: CPCM_PYTHON=... sh test.sh" >&2
         exit 1
     fi
 fi
+export CPCM_PYTHON
+"$CPCM_PYTHON" --version
 rustc --version
 qemu-system-arm --version | head -n 1
 

@@ -170,9 +170,15 @@ pub fn check_unoccupied(dir: &Path) -> Result<(), RecordingError> {
     }
 }
 
-/// Writes a site directory, which is created when it does not exist. Each file appears under its name only when
-/// it is complete.
+/// Writes a site directory. A new one appears under its name when it is complete, each file in one that is there when that is.
 pub fn write_site(dir: &Path, site: &Site, format: Format) -> Result<(), RecordingError> {
+    match dir.symlink_metadata() {
+        Err(_) => files::create_dir_with(dir, |new| write_files(new, site, format)),
+        Ok(_) => write_files(dir, site, format),
+    }
+}
+
+fn write_files(dir: &Path, site: &Site, format: Format) -> Result<(), RecordingError> {
     files::create_dir(dir)?;
     crossing_file::write_crossing(&dir.join("crossing.toml"), &site.crossing)?;
     if let Some(scan) = &site.scan {

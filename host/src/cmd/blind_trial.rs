@@ -194,10 +194,9 @@ fn diagnose(site: &Path, out: &Path, exclude: Option<&str>) -> anyhow::Result<se
     Ok(serde_json::from_slice(&read_bytes(&out.join("diagnosis.json"))?)?)
 }
 
-/// Part of the trials without an effect that must stay without one, and part of the effects stronger than twice the floor
-/// that must be found: less than is asked of a full run, because 20 trials hold four of the first kind and about three of the
-/// second.
-const LEAST_RIGHT: (f64, f64) = (0.75, 0.6);
+/// Part of the trials that must be right: without an effect, with one above twice the floor, with one that is left out, and with two.
+/// Less than is asked of a full run, because 20 trials hold four of the first kind, about three of the second and two of the others.
+const LEAST_RIGHT: [f64; 4] = [0.75, 0.6, 0.5, 0.5];
 
 fn check(scores: &[Score]) -> anyhow::Result<()> {
     let part = |pick: &dyn Fn(&&Score) -> bool| {
@@ -206,9 +205,15 @@ fn check(scores: &[Score]) -> anyhow::Result<()> {
     };
     let quiet = part(&|s| s.answer.question == Question::Nothing);
     let strong = part(&|s| s.answer.question == Question::One && s.strength_to_floor > STRONG);
-    for ((right, of), least, what) in
-        [(quiet, LEAST_RIGHT.0, "sites without effect"), (strong, LEAST_RIGHT.1, "strong effects")]
-    {
+    let left_out = part(&|s| s.answer.question == Question::LeftOut);
+    let pairs = part(&|s| s.answer.question == Question::Pair);
+    let kinds = [
+        (quiet, "sites without effect"),
+        (strong, "strong effects"),
+        (left_out, "sites whose effect is left out"),
+        (pairs, "pairs"),
+    ];
+    for (((right, of), what), least) in kinds.into_iter().zip(LEAST_RIGHT) {
         if (right as f64) < least * of as f64 {
             bail!("{right} of {of} {what} are right, at least {:.0} % are asked", 100.0 * least);
         }

@@ -35,6 +35,23 @@ pub(crate) fn create_dir(dir: &Path) -> Result<(), RecordingError> {
     })
 }
 
+/// Fills a directory under a temporary name beside `dir`, of which there is nothing yet, and renames it.
+pub(crate) fn create_dir_with(
+    dir: &Path,
+    fill: impl FnOnce(&Path) -> Result<(), RecordingError>,
+) -> Result<(), RecordingError> {
+    let io = |source| RecordingError::Io { doing: "create", path: dir.into(), source };
+    let parent = dir.parent().map_or(Path::new("."), or_here);
+    create_dir(parent)?;
+    let temporary = tempfile::Builder::new().prefix(".cpcm-").tempdir_in(parent).map_err(io)?;
+    fill(temporary.path())?;
+    share(temporary.path(), DIRECTORY_MODE).map_err(io)?;
+    std::fs::rename(temporary.path(), dir).map_err(io)?;
+    // It has another name now, under which it is to stay.
+    let _ = temporary.keep();
+    Ok(())
+}
+
 /// Refuses a directory for results into which nothing can be written, before hours of work go into them. Creates nothing.
 pub(crate) fn check_dir(dir: &Path) -> Result<(), RecordingError> {
     let there = dir.ancestors().map(or_here).find(|a| a.exists()).unwrap_or(Path::new("."));
@@ -100,20 +117,23 @@ pub(crate) fn write_atomic_with(
     let mut temporary = tempfile::Builder::new().prefix(".cpcm-").tempfile_in(parent).map_err(io)?;
     write(temporary.as_file_mut()).map_err(io)?;
     temporary.as_file().sync_all().map_err(io)?;
-    share(temporary.as_file()).map_err(io)?;
+    share(temporary.path(), FILE_MODE).map_err(io)?;
     temporary.persist(&target).map_err(|e| io(e.error))?;
     Ok(())
 }
 
-/// Temporary files are private to their owner; results are for everyone who may read the directory.
+const FILE_MODE: u32 = 0o644;
+const DIRECTORY_MODE: u32 = 0o755;
+
+/// What is temporary is private to its owner; results are for everyone who may read the directory that they are in.
 #[cfg(unix)]
-fn share(file: &std::fs::File) -> std::io::Result<()> {
+fn share(path: &Path, mode: u32) -> std::io::Result<()> {
     use std::os::unix::fs::PermissionsExt;
-    file.set_permissions(std::fs::Permissions::from_mode(0o644))
+    std::fs::set_permissions(path, std::fs::Permissions::from_mode(mode))
 }
 
 #[cfg(not(unix))]
-fn share(_file: &std::fs::File) -> std::io::Result<()> {
+fn share(_path: &Path, _mode: u32) -> std::io::Result<()> {
     Ok(())
 }
 
@@ -139,6 +159,26 @@ mod tests {
         let device = Path::new("/dev/null");
         assert!(matches!(write_atomic(device, b"x"), Err(RecordingError::NotAFile { .. })));
         assert!(!device.is_file());
+    }
+
+    /// A conversion that was interrupted left a part of a site, into which it could not be repeated.
+    #[test]
+    fn regress_a_directory_appears_when_it_is_complete() {
+        let place = tempfile::tempdir().unwrap();
+        let dir = place.path().join("new/site");
+        let cut = create_dir_with(&dir, |new| {
+            std::fs::write(new.join("first"), "half").unwrap();
+            Err(RecordingError::NoRows { file: "second".into() })
+        });
+        assert!(matches!(cut, Err(RecordingError::NoRows { .. })));
+        assert_eq!(std::fs::read_dir(dir.parent().unwrap()).unwrap().count(), 0);
+        create_dir_with(&dir, |new| write_atomic(&new.join("first"), b"whole")).unwrap();
+        assert_eq!(std::fs::read_to_string(dir.join("first")).unwrap(), "whole");
+        #[cfg(unix)]
+        assert_eq!(
+            std::os::unix::fs::PermissionsExt::mode(&dir.metadata().unwrap().permissions()) & 0o777,
+            0o755
+        );
     }
 
     #[test]

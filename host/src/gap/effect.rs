@@ -160,6 +160,10 @@ pub trait Effect: Sync + Send {
     fn sizes(&self) -> usize {
         1
     }
+    /// How many of its sizes, from the first on, tell that it is there; the others come with them.
+    fn telling(&self) -> usize {
+        self.sizes()
+    }
     /// What must bear it out.
     fn witness(&self) -> Witness {
         Witness::None

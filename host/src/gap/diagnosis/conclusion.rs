@@ -315,10 +315,10 @@ pub(super) fn stated(effects: &[&dyn Effect], fit: &Fit) -> Vec<Vec<Stated>> {
     effects.iter().zip(&fit.state.effects).map(of_effect).collect()
 }
 
-/// Whether the intervals that are stated of all sizes of an effect hold where there is none.
+/// Whether the intervals that are stated of all sizes that tell of an effect hold where there is none.
 fn may_be_nothing(effect: &dyn Effect, named: &Named) -> bool {
     let Some(nought) = effect.nought() else { return false };
-    effect.parameters().iter().zip(nought).take(effect.sizes()).filter(|(p, _)| !p.nuisance).all(
+    effect.parameters().iter().zip(nought).take(effect.telling()).filter(|(p, _)| !p.nuisance).all(
         |(p, nought)| {
             let stated = named.parameters.iter().find(|(name, ..)| *name == p.name);
             stated.is_some_and(|(_, _, low, high)| (*low..=*high).contains(&p.value(nought)))
@@ -333,4 +333,53 @@ fn withdrawn(name: &str, gap: &Gap) -> String {
          model (gap {:.3} instead of {:.3}): withdrawn",
         gap.after, gap.before
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gap::effects::common;
+
+    fn named(name: &'static str, parameters: &[Stated]) -> Named {
+        Named {
+            name,
+            stage: Stage::Track,
+            probability: 0.9,
+            parameters: parameters.to_vec(),
+            indistinguishable_from: Vec::new(),
+            alternatives: Vec::new(),
+            gained: 1.0,
+        }
+    }
+
+    /// Intervals as diagnoses of seed 44 stated them.
+    #[test]
+    fn regress_a_rail_that_only_weighs_otherwise_is_none() {
+        let rail = |stiffness: [f64; 2], mass: [f64; 2]| {
+            let stated = [
+                ("stiffness_factor", 1.0, stiffness[0], stiffness[1]),
+                ("mass_factor", 1.0, mass[0], mass[1]),
+            ];
+            may_be_nothing(common("crossing-rail").unwrap(), &named("crossing-rail", &stated))
+        };
+        // Nothing acts: trial 90.
+        assert!(rail([0.845, 1.195], [0.235, 0.704]));
+        // Rails: trials 166 and 198, of which the mass is open.
+        assert!(!rail([1.23, 1.79], [0.90, 1.51]) && !rail([0.43, 0.60], [0.52, 1.09]));
+    }
+
+    /// Support that is lost on one side is lost.
+    #[test]
+    fn property_either_side_tells_of_lost_support() {
+        let loss = |negative: [f64; 2], positive: [f64; 2]| {
+            let stated = [
+                ("factor_negative_x", 0.5, negative[0], negative[1]),
+                ("factor_positive_x", 0.5, positive[0], positive[1]),
+            ];
+            may_be_nothing(common("support-loss").unwrap(), &named("support-loss", &stated))
+        };
+        assert!(
+            loss([0.8, 1.2], [0.7, 1.1]) && !loss([0.8, 1.2], [0.3, 0.6]) && !loss([0.3, 0.6], [0.8, 1.2])
+        );
+    }
 }

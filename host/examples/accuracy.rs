@@ -17,6 +17,9 @@ use cpcm::recording::truth::read_truth;
 use cpcm::scoring::{Score, score};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
+    if std::env::args().len() < 2 {
+        return Err("name one site directory with truth, or more".into());
+    }
     println!(
         "site                     force peak    waveform   at peak    speed  displacement  irregularity   in interval   time"
     );

@@ -27,6 +27,9 @@ fn main() -> Result<(), Box<dyn Error>> {
     {
         return one(Path::new(dir));
     }
+    if arguments.is_empty() {
+        return Err("name one site directory with truth.toml, or more".into());
+    }
     println!(
         "{:<32} {:<17} {:<38} {:<5} {:<40} {:>20} {:>7} {:>6} {:>6} {:>6}",
         "site",

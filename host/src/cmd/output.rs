@@ -21,8 +21,11 @@ pub(super) fn print_json(value: &serde_json::Value) -> anyhow::Result<()> {
 /// Lists the passages that were left out, on standard error.
 pub(super) fn warn_skipped(skipped: &[Skipped]) {
     for s in skipped {
-        let id = s.passage_id.map_or("unknown".into(), |id| id.to_string());
-        complain(&format!("warning: passage {id} is left out: {}\n", s.reason));
+        let which = match s.passage_id {
+            Some(id) => format!("passage {id}"),
+            None => format!("the passage in row {} (counted from 0)", s.row),
+        };
+        complain(&format!("warning: {which} is left out: {}\n", s.reason));
     }
 }
 

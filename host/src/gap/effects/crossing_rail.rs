@@ -44,7 +44,7 @@ impl Effect for CrossingRail {
 
     fn advice(&self) -> Advice {
         Advice {
-            what: "the crossing rail is stiffer, softer or heavier than drawn",
+            what: "the crossing rail is stiffer or softer than drawn",
             action: "Compare the crossing with its drawing; where it is softer, look for cracks and loose fastenings.",
         }
     }

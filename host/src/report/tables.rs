@@ -30,7 +30,10 @@ pub(super) fn skipped(skipped: &[Skipped]) -> String {
         vec![id, s.row.to_string(), s.reason.clone()]
     };
     let rows: Vec<Vec<String>> = skipped.iter().map(row).collect();
-    format!("<h2>Passages left out</h2>\n{}", plain(&["passage", "row (from 0)", "reason"], &rows, |k| k == 2))
+    format!(
+        "<h2>Passages left out</h2>\n{}",
+        plain(&["passage", "row (from 0)", "reason"], &rows, |k| k == 2)
+    )
 }
 
 /// Force peak of every wheelset: one row per passage, one column per wheelset.

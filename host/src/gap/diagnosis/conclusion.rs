@@ -340,28 +340,25 @@ mod tests {
     use super::*;
     use crate::gap::effects::common;
 
-    fn named(name: &'static str, parameters: &[Stated]) -> Named {
-        Named {
+    /// Whether an effect with these intervals of two sizes may be nothing.
+    fn open(name: &'static str, sizes: [(&'static str, [f64; 2]); 2]) -> bool {
+        let named = Named {
             name,
             stage: Stage::Track,
             probability: 0.9,
-            parameters: parameters.to_vec(),
+            parameters: sizes.map(|(size, [low, high])| (size, 1.0, low, high)).to_vec(),
             indistinguishable_from: Vec::new(),
             alternatives: Vec::new(),
             gained: 1.0,
-        }
+        };
+        may_be_nothing(common(name).unwrap(), &named)
     }
 
     /// Intervals as diagnoses of seed 44 stated them.
     #[test]
     fn regress_a_rail_that_only_weighs_otherwise_is_none() {
-        let rail = |stiffness: [f64; 2], mass: [f64; 2]| {
-            let stated = [
-                ("stiffness_factor", 1.0, stiffness[0], stiffness[1]),
-                ("mass_factor", 1.0, mass[0], mass[1]),
-            ];
-            may_be_nothing(common("crossing-rail").unwrap(), &named("crossing-rail", &stated))
-        };
+        let rail =
+            |stiffness, mass| open("crossing-rail", [("stiffness_factor", stiffness), ("mass_factor", mass)]);
         // Nothing acts: trial 90.
         assert!(rail([0.845, 1.195], [0.235, 0.704]));
         // Rails: trials 166 and 198, of which the mass is open.
@@ -371,12 +368,8 @@ mod tests {
     /// Support that is lost on one side is lost.
     #[test]
     fn property_either_side_tells_of_lost_support() {
-        let loss = |negative: [f64; 2], positive: [f64; 2]| {
-            let stated = [
-                ("factor_negative_x", 0.5, negative[0], negative[1]),
-                ("factor_positive_x", 0.5, positive[0], positive[1]),
-            ];
-            may_be_nothing(common("support-loss").unwrap(), &named("support-loss", &stated))
+        let loss = |negative, positive| {
+            open("support-loss", [("factor_negative_x", negative), ("factor_positive_x", positive)])
         };
         assert!(
             loss([0.8, 1.2], [0.7, 1.1]) && !loss([0.8, 1.2], [0.3, 0.6]) && !loss([0.3, 0.6], [0.8, 1.2])

@@ -261,7 +261,7 @@ pub(super) fn large_enough(
     };
     let part = SURE_OF_SIZE.iter().find(|(sure, _)| gain > *sure).map_or(1.0, |(_, part)| *part);
     let parameters = effect.parameters().iter().zip(coordinates.iter().zip(&nought)).enumerate();
-    parameters.take(effect.sizes()).any(|(k, (p, (c, n)))| {
+    parameters.take(effect.telling()).any(|(k, (p, (c, n)))| {
         let sd = (inflation * fit.covariance[(first + k, first + k)].max(0.0)).sqrt();
         (c - n).abs() >= (part * p.least).max(CLEAR_OF_NOUGHT * sd)
     })

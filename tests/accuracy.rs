@@ -157,6 +157,17 @@ fn reference_every_site_is_identified_within_its_intervals() {
         for share in [score.peak_coverage, score.waveform_coverage] {
             assert!(share > tolerance::COVERED[0] && share < tolerance::COVERED[1], "{name}: {share}");
         }
+        let [error, half] = score.mean_peak;
+        println!(
+            "{name}: mean peak {error:+.4} (\u{b1} {half:.4}), scan inside {:.3}",
+            score.irregularity_coverage
+        );
+        assert!(error.abs() < half, "{name}: {error} of {half}");
+        assert!(
+            score.irregularity_coverage > tolerance::SCAN_COVERED,
+            "{name}: {}",
+            score.irregularity_coverage
+        );
         assert!(score.late_s.abs() < tolerance::LATE_S, "{name}: {}", score.late_s);
         let [p1, p2, p3] = score.ballast_truth.unwrap();
         let off = |found: Interval, known: f64| (found.value / known - 1.0).abs();
@@ -173,7 +184,11 @@ fn reference_every_site_is_identified_within_its_intervals() {
 #[test]
 fn reference_irregularity_lies_on_the_scan() {
     let error = scored().irregularity;
-    println!("mean irregularity against the scan: {:.2} %", 100.0 * error);
+    println!(
+        "mean irregularity against the scan: {:.2} %, {:.0} % of the scan inside",
+        100.0 * error,
+        100.0 * scored().irregularity_coverage
+    );
     assert!(error < tolerance::IRREGULARITY, "{error:.4}");
 }
 

@@ -18,7 +18,8 @@ use tempfile::TempDir;
 
 /// Which passages: enough for a calibration.
 const PASSAGES: [usize; 4] = [0, 7, 13, 20];
-const RESULTS: [&str; 5] = ["forces.parquet", "ballast.csv", "indicators.json", "modes.csv", "report.html"];
+const RESULTS: [&str; 6] =
+    ["forces.parquet", "ballast.csv", "indicators.json", "modes.csv", "mean_irregularity.csv", "report.html"];
 
 /// Recordings of [`PASSAGES`] without truth, in `parent/name`.
 fn site(parent: &Path, name: &str) -> PathBuf {

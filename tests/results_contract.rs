@@ -90,6 +90,12 @@ fn reference_indicators_json() {
     assert_eq!(json["urgency"], analysis.indicators.urgency.as_str());
     assert_eq!(json["recommended_action"], analysis.indicators.recommended_action.as_str());
     assert_eq!(json["peak_force_n"]["mean"], analysis.indicators.peak_force_n.mean);
+    for (name, spread) in [
+        ("peak_force_n", analysis.indicators.peak_force_n),
+        ("irregularity_rms_m", analysis.indicators.irregularity_rms_m),
+    ] {
+        assert_eq!(json[name]["mean90"], serde_json::json!(spread.mean90));
+    }
     assert_eq!(json["irregularity_rms_m"]["range80"][1], analysis.indicators.irregularity_rms_m.p90);
     assert_eq!(json["passages"]["used"], 24);
     // The file that the modes refer to exists and has the column.
@@ -97,6 +103,21 @@ fn reference_indicators_json() {
     let modes = std::fs::read_to_string(results.join(mode["file"].as_str().unwrap())).unwrap();
     assert!(modes.lines().next().unwrap().split(',').any(|c| c == mode["column"]));
     assert_eq!(modes.lines().count(), 1 + analysis.indicators.position_m.len());
+}
+
+#[test]
+fn reference_mean_irregularity_csv() {
+    let (dir, analysis) = written();
+    let text = std::fs::read_to_string(dir.path().join("new/results/mean_irregularity.csv")).unwrap();
+    let mut lines = text.lines();
+    assert_eq!(lines.next(), Some("position_m,irregularity_m,lower_m,upper_m"));
+    let rows: Vec<Vec<f64>> = lines.map(|l| l.split(',').map(|c| c.parse().unwrap()).collect()).collect();
+    let i = &analysis.indicators;
+    assert_eq!(rows.len(), i.position_m.len());
+    for (row, (x, z)) in rows.iter().zip(i.position_m.iter().zip(&i.mean_irregularity_m)) {
+        assert!((row[0] - x).abs() < 1e-6);
+        assert_eq!(row[1..], [z.value, z.lower, z.upper]);
+    }
 }
 
 /// Passages that the model does not explain were counted as used, though no number is of them.
@@ -133,7 +154,15 @@ fn regress_results_are_reproducible_and_leave_nothing_else() {
         .map(|e| e.unwrap().file_name().into_string().unwrap())
         .collect();
     names.sort();
-    assert_eq!(names, ["ballast.csv", "forces.parquet", "indicators.json", "modes.csv", "report.html"]);
+    let expected = [
+        "ballast.csv",
+        "forces.parquet",
+        "indicators.json",
+        "mean_irregularity.csv",
+        "modes.csv",
+        "report.html",
+    ];
+    assert_eq!(names, expected);
     for name in names {
         let read = |dir: &Path| std::fs::read(dir.join(&name)).unwrap();
         assert_eq!(read(&first.path().join("new/results")), read(second.path()), "{name}");

@@ -132,6 +132,7 @@ fn indicators(passages: &[PassageResult]) -> Indicators {
     let all: Vec<&WheelsetResult> = passages.iter().flat_map(|p| &p.wheelsets).collect();
     let spread = |values: Vec<f64>, threshold| Spread {
         mean: mean(&values),
+        mean90: [0.98, 1.02].map(|part| part * mean(&values)),
         p10: quantile(&values, 0.1),
         p90: quantile(&values, 0.9),
         threshold,
@@ -144,6 +145,10 @@ fn indicators(passages: &[PassageResult]) -> Indicators {
         irregularity_rms_m: spread(all.iter().map(|w| w.irregularity_rms_m).collect(), 270e-6),
         force_mode_n: average(|w| &w.contact_force_n),
         irregularity_mode_m: average(|w| &w.irregularity_m),
+        mean_irregularity_m: average(|w| &w.irregularity_m)
+            .into_iter()
+            .map(|value| Interval { value, lower: value - 20e-6, upper: value + 20e-6 })
+            .collect(),
         position_m: all[0].position_m.clone(),
         condition: Condition::Watch,
         urgency: "within three months".into(),

@@ -48,6 +48,9 @@ pub const TRANSFER_PART: f64 = 0.3;
 pub const WITHOUT_STEPS: f64 = 2.0;
 /// Position of the peak, median, m: a shorter distance than a grinder works on.
 pub const PEAK_POSITION_M: f64 = 0.03;
+/// Share of the laser scan inside the 90 % interval of the mean irregularity; 1.00, 0.71 and 1.00 are reached. Errors
+/// along a curve hang together, so that one site's share may be far from 0.9.
+pub const SCAN_COVERED: f64 = 0.6;
 /// Mean irregularity against the laser scan, RMS over peak to peak: what is asked of the method.
 pub const IRREGULARITY: f64 = 0.04;
 /// What is asked of the method on stiff and on soft pads: force peak, relative, 90th percentile; waveform, RMS over peak to peak,

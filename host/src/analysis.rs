@@ -148,7 +148,9 @@ pub struct Indicators {
     pub force_mode_n: Vec<f64>,
     /// First SVD mode of the irregularity over all wheelsets, metres.
     pub irregularity_mode_m: Vec<f64>,
-    /// Grid of the modes: x, metres.
+    /// Mean irregularity over all wheelsets, metres, with the 90 % interval of the mean; NaN ends where none is stated.
+    pub mean_irregularity_m: Vec<Interval>,
+    /// Grid of the modes and of the mean irregularity: x, metres.
     pub position_m: Vec<f64>,
     /// Verdict against the thresholds.
     pub condition: Condition,
@@ -163,6 +165,8 @@ pub struct Indicators {
 #[allow(missing_docs)]
 pub struct Spread {
     pub mean: f64,
+    /// 90 % interval of the mean, NaN where none is stated.
+    pub mean90: [f64; 2],
     pub p10: f64,
     pub p90: f64,
     /// Threshold between healthy and damaged.

@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use crate::identify::{ForceClass, IdentifiedSite};
 use crate::inverse::hierarchy::{GroupKind, GroupOffsets, kinds};
 use crate::inverse::train::Train;
-use crate::inverse::{Estimator, Excitation, GroupGeometry, InverseError, Running, TrackModel};
+use crate::inverse::{AxleGain, Estimator, Excitation, GroupGeometry, InverseError, Running, TrackModel};
 use crate::irregularity::on_grid;
 use crate::signal::mean;
 
@@ -44,13 +44,12 @@ impl WheelForce {
 }
 
 /// Forces of the wheelsets of all passages, in order, over the whole stretch in which they are estimated, at the sampling
-/// rate of the Green's functions.
+/// rate of the Green's functions; `spreads` of all classes.
 pub fn all_wheel_forces(
     site: &IdentifiedSite,
+    spreads: &[Spread],
     done: &(dyn Fn() + Sync),
 ) -> Result<Vec<Vec<WheelForce>>, InverseError> {
-    let spreads: Vec<Spread> =
-        (0..site.classes.len()).map(|class| Spread::new(site, class)).collect::<Result<_, _>>()?;
     (0..site.recordings.len())
         .into_par_iter()
         .map(|i| {
@@ -121,9 +120,24 @@ pub fn wheel_forces(
 /// Standard deviation of the force along the track for every kind of axle group and axle, taken at the passage of the
 /// most usual speed: it hardly depends on the speed.
 pub struct Spread {
-    position_m: Vec<f64>,
+    /// That passage, by its place in the site.
+    pub passage: usize,
+    /// Positions of its wheels, one per sample in the order of passing, metres.
+    pub position_m: Vec<f64>,
     /// `[kind][axle]`.
     causes: Vec<Vec<Causes>>,
+    /// `[kind][axle]`.
+    shared: Vec<Vec<SharedCauses>>,
+}
+
+/// How the force of an axle, at the positions of [`Spread::position_m`], follows what all wheels share and is not known exactly.
+pub struct SharedCauses {
+    /// Force of the common profile alone, newtons.
+    pub base_n: Vec<f64>,
+    /// Per entry of the common profile of the class: positions × entries.
+    pub profile: Mat<f64>,
+    /// Per (ln p1, ln p2, p3), newtons: positions × 3.
+    pub ballast_n: Mat<f64>,
 }
 
 /// What a force is not known by: standard deviations along the track, newtons.
@@ -153,6 +167,11 @@ impl Causes {
 }
 
 impl Spread {
+    /// Of every class of a site.
+    pub fn of_classes(site: &IdentifiedSite) -> Result<Vec<Self>, InverseError> {
+        (0..site.classes.len()).map(|class| Self::new(site, class)).collect()
+    }
+
     /// Of a class of speeds, by its number, at the passage whose speed is nearest their mean.
     pub fn new(site: &IdentifiedSite, class: usize) -> Result<Self, InverseError> {
         let speeds: Vec<f64> = site.timings.iter().map(|t| t.speed_m_s).collect();
@@ -163,11 +182,17 @@ impl Spread {
             .min_by(|a, b| (speeds[*a] - usual).abs().total_cmp(&(speeds[*b] - usual).abs()))
             .unwrap_or(0);
         let position_m = positions_m(site, index);
-        let causes = kinds(&site.pattern)
+        let of_kinds: Vec<Vec<(Causes, SharedCauses)>> = kinds(&site.pattern)
             .par_iter()
             .map(|kind| causes_of(site, &site.classes[class], kind, index, &position_m))
             .collect::<Result<_, _>>()?;
-        Ok(Self { position_m, causes })
+        let (causes, shared) = of_kinds.into_iter().map(|axles| axles.into_iter().unzip()).unzip();
+        Ok(Self { passage: index, position_m, causes, shared })
+    }
+
+    /// What the axles of all kinds of groups share with other wheels, `[kind][axle]`.
+    pub fn shared(&self) -> &[Vec<SharedCauses>] {
+        &self.shared
     }
 
     /// Of an axle of a kind of group, at positions: with the shared position known, and in all.
@@ -202,27 +227,32 @@ fn causes_of(
     kind: &GroupKind,
     index: usize,
     position_m: &[f64],
-) -> Result<Vec<Causes>, InverseError> {
+) -> Result<Vec<(Causes, SharedCauses)>, InverseError> {
     let geometry = geometry(site, kind, index);
     let estimator = Estimator::new(&model(site), &geometry, &class.prior, class.profile())?;
     let gains = estimator.gains(position_m, LOW_PASS_HZ, class.profile());
     let ballast = ballast_sensitivity(site, class, &geometry, position_m)?;
-    let p = class.profile().value.len();
-    let profile_covariance = class.posterior.covariance.submatrix(0, 0, p, p);
+    let profile_covariance = class.profile_covariance();
     let known: Mat<f64> = Mat::from_fn(3, 3, |i, j| site.ballast.covariance[i][j]);
-    let position_sd_m = site.ballast.shift_sd_m.hypot(LAG_SD_S * site.timings[index].speed_m_s);
-    let causes = gains.iter().zip(&ballast).map(|(axle, ballast)| {
-        let slope = slope_n_m(position_m, &axle.base_n);
-        let own_n = axle.sd_n.clone();
-        let profile_n = deviations(&axle.profile, &(&axle.profile * profile_covariance));
-        let ballast_n = deviations(ballast, &(ballast * &known));
-        let parts = [&own_n, &profile_n, &ballast_n];
+    let position_sd_m = position_sd_m(site, index);
+    let causes = gains.into_iter().zip(ballast).map(|(axle, ballast_n)| {
+        let slope = slope_per_m(position_m, &axle.base_n);
+        let AxleGain { base_n, sd_n: own_n, profile, .. } = axle;
+        let profile_n = deviations(&profile, &(&profile * profile_covariance));
+        let of_ballast_n = deviations(&ballast_n, &(&ballast_n * &known));
+        let parts = [&own_n, &profile_n, &of_ballast_n];
         let unshifted = |i: usize| parts.iter().map(|p| p[i].powi(2)).sum::<f64>().sqrt();
         let unshifted_n: Vec<f64> = (0..position_m.len()).map(unshifted).collect();
         let all_n = unshifted_n.iter().zip(&slope).map(|(n, s)| n.hypot(s * position_sd_m)).collect();
-        Causes { own_n, profile_n, ballast_n, unshifted_n, all_n }
+        let causes = Causes { own_n, profile_n, ballast_n: of_ballast_n, unshifted_n, all_n };
+        (causes, SharedCauses { base_n, profile, ballast_n })
     });
     Ok(causes.collect())
+}
+
+/// Standard deviation of the position that the forces of all wheels share, at the speed of a passage, metres.
+pub fn position_sd_m(site: &IdentifiedSite, index: usize) -> f64 {
+    site.ballast.shift_sd_m.hypot(LAG_SD_S * site.timings[index].speed_m_s)
 }
 
 /// Change of the forces of every axle per (ln p1, ln p2, p3), newtons, if every wheel stood for itself: what a wrong ballast
@@ -249,13 +279,13 @@ fn ballast_sensitivity(
 }
 
 /// Square roots of the diagonal of a · bᵀ.
-fn deviations(a: &Mat<f64>, b: &Mat<f64>) -> Vec<f64> {
+pub fn deviations(a: &Mat<f64>, b: &Mat<f64>) -> Vec<f64> {
     let product = |i: usize| (0..a.ncols()).map(|j| a[(i, j)] * b[(i, j)]).sum::<f64>();
     (0..a.nrows()).map(|i| product(i).max(0.0).sqrt()).collect()
 }
 
-/// Slope of a force along equidistant positions by central differences, N/m.
-pub fn slope_n_m(position_m: &[f64], force_n: &[f64]) -> Vec<f64> {
+/// Slope of a force or a path along equidistant positions by central differences, per metre.
+pub fn slope_per_m(position_m: &[f64], force_n: &[f64]) -> Vec<f64> {
     let last = position_m.len().saturating_sub(1);
     (0..position_m.len())
         .map(|i| {

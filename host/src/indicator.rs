@@ -2,10 +2,11 @@
 
 use faer::Mat;
 
-use crate::analysis::{Condition, Indicators, PassageResult, Spread, WheelsetResult, explained};
+use crate::analysis::{Condition, Indicators, Interval, PassageResult, Spread, WheelsetResult, explained};
 use crate::identify::Misdescription;
 use crate::limits::{CLIPPED, MODEL_GAP};
-use crate::signal::{mean, quantile};
+use crate::mean_interval::MeanErrors;
+use crate::signal::{HALF_WIDTH_90, mean, mean_of, quantile};
 
 /// Force peak over static wheel force above which a crossing counts as damaged. The paper's fig. 21 separates healthy
 /// from damaged panels between about 1.9 and 2.3 times the static force; the middle is taken.
@@ -52,6 +53,10 @@ pub fn indicators(passages: &[PassageResult], position_m: &[f64], static_force_n
             &wheels.iter().map(|w| w.irregularity_m.as_slice()).collect::<Vec<_>>(),
             position_m.len(),
         ),
+        mean_irregularity_m: mean_of(&wheels.iter().map(|w| w.irregularity_m.clone()).collect::<Vec<_>>())
+            .into_iter()
+            .map(|value| Interval { value, lower: f64::NAN, upper: f64::NAN })
+            .collect(),
         position_m: position_m.to_vec(),
         condition,
         urgency: urgency.into(),
@@ -80,6 +85,21 @@ fn doubted(
 }
 
 impl Indicators {
+    /// The same with the intervals of the means.
+    pub fn with_errors(mut self, errors: &MeanErrors) -> Self {
+        let around = |mean: f64, sd: f64| [mean - HALF_WIDTH_90 * sd, mean + HALF_WIDTH_90 * sd];
+        for (spread, sd) in [
+            (&mut self.peak_force_n, errors.peak_force_n),
+            (&mut self.irregularity_rms_m, errors.irregularity_rms_m),
+        ] {
+            spread.mean90 = around(spread.mean, sd);
+        }
+        for (interval, sd) in self.mean_irregularity_m.iter_mut().zip(&errors.irregularity_m) {
+            [interval.lower, interval.upper] = around(interval.value, *sd);
+        }
+        self
+    }
+
     /// The same where crossing.toml describes another panel than the recorded one: no verdict, and what to correct.
     pub fn misdescribed(self, misdescription: &Misdescription) -> Self {
         Self {
@@ -95,7 +115,13 @@ impl Indicators {
 }
 
 fn spread(values: &[f64], threshold: f64) -> Spread {
-    Spread { mean: mean(values), p10: quantile(values, 0.1), p90: quantile(values, 0.9), threshold }
+    Spread {
+        mean: mean(values),
+        mean90: [f64::NAN; 2],
+        p10: quantile(values, 0.1),
+        p90: quantile(values, 0.9),
+        threshold,
+    }
 }
 
 fn condition(force: &Spread, irregularity: &Spread) -> Condition {

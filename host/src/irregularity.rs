@@ -1,6 +1,7 @@
 //! Crossing irregularity from the identified force: wheel path minus rail deflection (paper, section 5, eq. 13-16).
 
 use faer::Mat;
+use rayon::prelude::*;
 
 use crate::forces::{LOW_PASS_HZ, WheelForce};
 use crate::greens::moving_response::RailGreens;
@@ -70,6 +71,32 @@ pub fn irregularity_of_wheelset(
 fn in_band(path_m: &[f64], rate_hz: f64, speed_m_s: f64, position_m: &[f64], grid_m: &[f64]) -> Vec<f64> {
     let longest_hz = speed_m_s / LONGEST_WAVELENGTH_M;
     on_grid(position_m, &brick_band(&without_cubic(path_m), rate_hz, longest_hz, LOW_PASS_HZ), grid_m)
+}
+
+/// What [`in_band`] makes of `samples` values before they go to a grid, as a matrix.
+pub fn in_band_matrix(samples: usize, rate_hz: f64, speed_m_s: f64) -> Mat<f64> {
+    let longest_hz = speed_m_s / LONGEST_WAVELENGTH_M;
+    matrix(samples, |one| brick_band(&without_cubic(one), rate_hz, longest_hz, LOW_PASS_HZ))
+}
+
+/// [`on_grid`] as a matrix.
+pub fn on_grid_matrix(position_m: &[f64], grid_m: &[f64]) -> Mat<f64> {
+    matrix(position_m.len(), |one| on_grid(position_m, one, grid_m))
+}
+
+/// A linear map of `samples` values, column by column.
+fn matrix(samples: usize, map: impl Fn(&[f64]) -> Vec<f64> + Sync) -> Mat<f64> {
+    let column = |j: usize| map(&(0..samples).map(|i| f64::from(u8::from(i == j))).collect::<Vec<_>>());
+    let columns: Vec<Vec<f64>> = (0..samples).into_par_iter().map(column).collect();
+    Mat::from_fn(columns.first().map_or(0, Vec::len), samples, |i, j| columns[j][i])
+}
+
+/// Change of the contact's compression with its force, m/N.
+pub fn compression_slope_m_n(force_n: f64, vehicle: &Vehicle) -> f64 {
+    match force_n > 0.0 {
+        true => 2.0 / 3.0 * compression_m(force_n, vehicle) / force_n,
+        false => 0.0,
+    }
 }
 
 /// Hertz's law.
@@ -160,6 +187,35 @@ mod tests {
         let worst = (0..400).map(|k| (found[k] - path(k as f64 * dt)).abs()).fold(0.0, f64::max);
         assert!(worst < 2e-3, "{worst}");
         assert!(twice_integrated(&[1.0], dt) == [0.0] && twice_integrated(&[], dt).is_empty());
+    }
+
+    #[test]
+    fn property_matrices_do_what_they_are_the_matrices_of() {
+        let (rate_hz, speed_m_s) = (800.0, 42.0);
+        let x: Vec<f64> = (-60..=60).map(|i| -f64::from(i) * speed_m_s / rate_hz).collect();
+        let values: Vec<f64> =
+            x.iter().map(|x| 1e-3 * (-(x / 0.3).powi(2)).exp() + 1e-4 * (7.0 * x).sin()).collect();
+        let grid: Vec<f64> = (-90..=150).map(|i| f64::from(i) * 0.01).collect();
+        let by_matrix = on_grid_matrix(&x, &grid)
+            * in_band_matrix(x.len(), rate_hz, speed_m_s)
+            * Mat::from_fn(x.len(), 1, |i, _| values[i]);
+        for (i, expected) in in_band(&values, rate_hz, speed_m_s, &x, &grid).into_iter().enumerate() {
+            assert!(
+                (by_matrix[(i, 0)] - expected).abs() < 1e-12,
+                "{i}: {} instead of {expected}",
+                by_matrix[(i, 0)]
+            );
+        }
+    }
+
+    #[test]
+    fn analytic_compression_grows_with_the_force_as_its_slope_says() {
+        let vehicle = crate::verification::reference::vehicle();
+        for force_n in [10e3, 76e3, 200e3] {
+            let step = compression_m(force_n + 1.0, &vehicle) - compression_m(force_n - 1.0, &vehicle);
+            assert!((0.5 * step / compression_slope_m_n(force_n, &vehicle) - 1.0).abs() < 1e-6);
+        }
+        assert_eq!(compression_slope_m_n(-1.0, &vehicle), 0.0);
     }
 
     #[test]

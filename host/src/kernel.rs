@@ -21,7 +21,7 @@ use crate::greens::{Chain, GreensFunctions, GreensSampling, Quantity};
 use crate::identify::{IdentifiedSite, Misdescription};
 use crate::inverse::hierarchy::{GroupKind, kinds};
 use crate::inverse::{AxleGain, Estimator, Excitation, GroupGeometry, InverseError, Running, TrackModel};
-use crate::signal::AntiAlias;
+use crate::signal::{AntiAlias, HALF_WIDTH_90};
 
 /// Why a package cannot be made.
 #[derive(Debug, thiserror::Error)]
@@ -91,8 +91,6 @@ const GRID_STEP_M: f64 = 0.025;
 /// Singular directions of the operator that change no force by more than this (one standard deviation) are left out,
 /// newtons: a thousandth of a usual peak.
 const TRUNCATION_N: f64 = 150.0;
-/// 90 % of a normal distribution lie within this many standard deviations.
-pub const HALF_WIDTH_90: f64 = 1.6449;
 
 /// What the node has room for. The header is well below its largest length, which is set aside for it.
 const ROOM: Room = {
@@ -144,8 +142,7 @@ pub fn package(site: &IdentifiedSite, done: &(dyn Fn() + Sync)) -> Result<Packag
     }
     let kinds = kinds(&site.pattern);
     let greens = node_greens(site);
-    let spreads: Vec<Spread> =
-        (0..site.classes.len()).map(|class| Spread::new(site, class)).collect::<Result<_, _>>()?;
+    let spreads = Spread::of_classes(site)?;
     let speeds = bin_speeds(&recorded_m_s);
     let grid = grid(site.region_m());
     let mut parts: Vec<Vec<Parts>> = speeds

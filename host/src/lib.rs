@@ -17,6 +17,7 @@ pub mod inverse;
 pub mod identify;
 pub mod forces;
 pub mod irregularity;
+pub mod mean_interval;
 pub mod limits;
 pub mod indicator;
 pub mod kernel;

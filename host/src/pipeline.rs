@@ -6,7 +6,8 @@ use rayon::prelude::*;
 
 use crate::analysis::{Analysis, BallastEstimate, Interval, PassageResult, WheelsetResult, explained};
 use crate::ballast::BallastParameters;
-use crate::forces::{LOW_PASS_HZ, WheelForce, all_wheel_forces};
+use crate::ballast::evidence::DIFFERENCE;
+use crate::forces::{LOW_PASS_HZ, Spread, WheelForce, all_wheel_forces};
 use crate::greens::moving::{WheelPath, constant_force_response};
 use crate::greens::{Chain, GreensFunctions, GreensSampling, Quantity};
 use crate::identify::{IdentifiedSite, IdentifyError, identify};
@@ -14,13 +15,14 @@ use crate::indicator::indicators;
 use crate::interaction::{BogieResponses, Interaction, Wheelset};
 use crate::inverse::InverseError;
 use crate::irregularity::{LONGEST_WAVELENGTH_M, irregularity_of_wheelset, on_grid};
-use crate::kernel::{HALF_WIDTH_90, KernelError, Package};
+use crate::kernel::{KernelError, Package};
 use crate::limits::PassageLimits;
+use crate::mean_interval::{Tracks, mean_errors};
 use crate::passage::Profile;
 use crate::progress::Progress;
 use crate::reconstruct::complementary_displacement;
 use crate::recording::{Scan, Site};
-use crate::signal::{brick_band, mean, resample, rms};
+use crate::signal::{HALF_WIDTH_90, brick_band, mean, resample, rms};
 use crate::track::{Side, Track};
 
 /// Choices in the analysis.
@@ -80,9 +82,10 @@ const TRACE_RATE_HZ: f64 = 1000.0;
 pub fn evaluate(identified: &IdentifiedSite, progress: &dyn Progress) -> Result<Analysis, PipelineError> {
     let site = identified.site;
     progress.begin("contact forces", site.passages.len() as u64);
-    let forces = all_wheel_forces(identified, &|| progress.step())?;
+    let spreads = Spread::of_classes(identified)?;
+    let forces = all_wheel_forces(identified, &spreads, &|| progress.step())?;
     let grid = result_grid(identified);
-    let interaction = interaction(identified);
+    let (interaction, moved) = interactions(identified);
     let displacement_greens = displacement_greens(identified);
     progress.begin("irregularity and displacement", site.passages.len() as u64);
     let passages: Vec<PassageResult> = (0..site.passages.len())
@@ -92,7 +95,9 @@ pub fn evaluate(identified: &IdentifiedSite, progress: &dyn Progress) -> Result<
             passage_result(identified, i, &forces[i], &interaction, &displacement_greens, &grid)
         })
         .collect();
-    let indicators = indicators(&passages, &grid, identified.usual_force_n());
+    let tracks = Tracks { calibrated: &interaction, moved: &moved };
+    let errors = mean_errors((identified, &spreads), &tracks, &passages, &grid);
+    let indicators = indicators(&passages, &grid, identified.usual_force_n()).with_errors(&errors);
     let misdescription = identified.misdescription;
     Ok(Analysis {
         crossing: site.crossing.clone(),
@@ -120,10 +125,17 @@ fn distribution(identified: &IdentifiedSite) -> Vec<f64> {
     identified.ballast.parameters.bed(track)
 }
 
-/// Wheels on the calibrated track, at the time step of the forces.
-fn interaction(identified: &IdentifiedSite) -> Interaction {
+/// Wheels on the calibrated track, at the time step of the forces, and on tracks close to it.
+pub(crate) fn interactions(identified: &IdentifiedSite) -> (Interaction, [(Interaction, f64); 3]) {
+    let (track, half_m) = (&identified.track, identified.half_m());
     let bogie = BogieResponses::new(&identified.site.crossing.vehicle, identified.greens.sampling);
-    Interaction::new(&identified.track, &distribution(identified), &Arc::new(bogie), identified.half_m())
+    let bogie = Arc::new(bogie);
+    let on = |p: &BallastParameters| Interaction::new(track, &p.bed(track), &bogie, half_m);
+    let ballast = &identified.ballast.parameters;
+    let moved = |k: usize| (on(&ballast.moved(k, DIFFERENCE[k])), DIFFERENCE[k]);
+    let ((calibrated, first), (second, third)) =
+        rayon::join(|| rayon::join(|| on(ballast), || moved(0)), || rayon::join(|| moved(1), || moved(2)));
+    (calibrated, [first, second, third])
 }
 
 fn displacement_greens(identified: &IdentifiedSite) -> GreensFunctions {

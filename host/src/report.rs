@@ -89,7 +89,7 @@ fn provenance(analysis: &Analysis) -> String {
         "<footer>cpcm {}. Site {}, {range}, recorded at {:.0} Hz with a range of ±{:.0} m/s². Intervals hold 90 %. Forces \
          and accelerations are low-passed at 250 Hz; vertical quantities are positive downwards; x = 0 is the nose \
          tip, x grows from the wing rail towards the nose. All numbers: forces.parquet, ballast.csv, \
-         indicators.json, modes.csv.</footer>\n",
+         indicators.json, modes.csv, mean_irregularity.csv.</footer>\n",
         env!("CARGO_PKG_VERSION"),
         page::escape(&analysis.crossing.name),
         analysis.crossing.sensor.sample_rate_hz,

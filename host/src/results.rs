@@ -6,6 +6,7 @@
 //! | `ballast.csv` | one row per sleeper |
 //! | `indicators.json` | condition, urgency, action |
 //! | `modes.csv` | first SVD modes that `indicators.json` refers to |
+//! | `mean_irregularity.csv` | mean irregularity of all wheels with its 90 % interval |
 //! | `report.html` | all of it for people ([`crate::report`]) |
 
 mod forces;
@@ -43,6 +44,8 @@ pub fn write_results(dir: &Path, analysis: &Analysis) -> Result<(), ResultsError
     forces::write_forces(&dir.join("forces.parquet"), analysis)?;
     write_atomic(&dir.join("ballast.csv"), ballast_csv(analysis).as_bytes())?;
     write_atomic(&dir.join("modes.csv"), indicators::modes_csv(&analysis.indicators).as_bytes())?;
+    let mean = indicators::mean_irregularity_csv(&analysis.indicators);
+    write_atomic(&dir.join("mean_irregularity.csv"), mean.as_bytes())?;
     write_atomic(&dir.join("indicators.json"), indicators::json(analysis).as_bytes())?;
     write_atomic(&dir.join("report.html"), report::html(analysis)?.as_bytes())?;
     Ok(())

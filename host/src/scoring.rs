@@ -1,7 +1,7 @@
 //! Results against known truth: for verification, tests and the demo only. Nothing in the analysis calls this.
 
-use crate::analysis::Analysis;
-use crate::forces::{LOW_PASS_HZ, slope_n_m};
+use crate::analysis::{Analysis, Interval};
+use crate::forces::{LOW_PASS_HZ, slope_per_m};
 use crate::recording::Crossing;
 use crate::recording::truth::{Side, Truth, WheelTruth};
 use crate::signal::{CubicSpline, brick_band, mean, mean_of, quantile};
@@ -58,6 +58,10 @@ pub struct Score {
     pub displacement: Vec<f64>,
     /// Mean irregularity of all wheelsets against the laser scan, RMS over peak to peak; NaN without a scan.
     pub irregularity: f64,
+    /// Share of the scan that lies inside the interval of the mean irregularity; NaN without either.
+    pub irregularity_coverage: f64,
+    /// Error of the mean force peak, and half of its 90 % interval, relative to the true mean.
+    pub mean_peak: [f64; 2],
     /// Share of wheelsets whose true peak lies inside the interval.
     pub peak_coverage: f64,
     /// Share of grid points whose true force lies inside the interval.
@@ -80,12 +84,15 @@ impl Score {
 
 /// Compares an analysis with the truth of its site.
 pub fn score(analysis: &Analysis, truth: &Truth) -> Score {
+    let [irregularity, irregularity_coverage] = irregularity_error(analysis);
     let mut score = Score {
         ballast_truth: truth.site.ballast.p1_p2_p3,
-        irregularity: irregularity_error(analysis),
+        irregularity,
+        irregularity_coverage,
         ..Score::default()
     };
     let (mut peaks_inside, mut points_inside, mut points) = (0usize, 0usize, 0usize);
+    let mut peaks_n = Vec::new();
     let mut late = (0.0, 0.0);
     let static_force_n = stated_static_force_n(&analysis.crossing);
     for passage in &analysis.passages {
@@ -97,6 +104,7 @@ pub fn score(analysis: &Analysis, truth: &Truth) -> Score {
             let at = (0..true_n.len()).max_by(|a, b| true_n[*a].total_cmp(&true_n[*b])).unwrap_or(0);
             let (peak, range) =
                 (true_n[at], true_n[at] - true_n.iter().copied().fold(f64::INFINITY, f64::min));
+            peaks_n.push(peak);
             let error = (wheel.peak_force_n.value - peak) / peak;
             score.peak.push(error.abs());
             score.peak_signed.push(error);
@@ -125,6 +133,9 @@ pub fn score(analysis: &Analysis, truth: &Truth) -> Score {
     score.peak_coverage = peaks_inside as f64 / score.peak.len().max(1) as f64;
     score.waveform_coverage = points_inside as f64 / points.max(1) as f64;
     score.late_s = late.0 / late.1;
+    let (found, true_n) = (&analysis.indicators.peak_force_n, mean(&peaks_n));
+    let half_n = 0.5 * (found.mean90[1] - found.mean90[0]);
+    score.mean_peak = [found.mean / true_n - 1.0, half_n / true_n];
     score
 }
 
@@ -175,10 +186,10 @@ fn stated_static_force_n(crossing: &Crossing) -> f64 {
 /// Sums of which the ratio is the time by which the force `found` comes later than the one `known` under a wheel that moves at
 /// `velocity_m_s` along x, s; least squares.
 fn lateness(position_m: &[f64], [found_n, known_n]: [&[f64]; 2], velocity_m_s: f64) -> (f64, f64) {
-    let slopes = slope_n_m(position_m, known_n);
+    let slopes = slope_per_m(position_m, known_n);
     let points = slopes.iter().zip(known_n.iter().zip(found_n));
-    points.fold((0.0, 0.0), |(early, squares), (slope_n_m, (known, found))| {
-        let per_second = slope_n_m * velocity_m_s;
+    points.fold((0.0, 0.0), |(early, squares), (slope_per_m, (known, found))| {
+        let per_second = slope_per_m * velocity_m_s;
         (early + (known - found) * per_second, squares + per_second * per_second)
     })
 }
@@ -199,25 +210,26 @@ fn displacement_error(passage: &crate::analysis::PassageResult, true_m: &[f64]) 
     square.sqrt() / (high - low)
 }
 
-/// Mean irregularity of all wheelsets against the scan in the same band, where both are known: RMS over peak to peak.
-fn irregularity_error(analysis: &Analysis) -> f64 {
-    let Some(scan) = &analysis.scan else { return f64::NAN };
-    let wheels: Vec<_> = analysis.passages.iter().flat_map(|p| &p.wheelsets).collect();
-    let (Some(first), Some(spline)) =
-        (wheels.first(), CubicSpline::new(&scan.position_m, &scan.irregularity_m))
-    else {
-        return f64::NAN;
+/// Mean irregularity of all wheelsets against the scan in the same band, where both are known: RMS over peak to peak, and the share of
+/// the scan that lies inside the interval of the mean.
+fn irregularity_error(analysis: &Analysis) -> [f64; 2] {
+    let Some(scan) = &analysis.scan else { return [f64::NAN; 2] };
+    let i = &analysis.indicators;
+    let Some(spline) = CubicSpline::new(&scan.position_m, &scan.irregularity_m) else {
+        return [f64::NAN; 2];
     };
-    let ends = [scan.position_m[0], scan.position_m[scan.position_m.len() - 1]];
-    let (mut known, mut squares) = (Vec::new(), Vec::new());
-    for (i, x) in first.position_m.iter().enumerate().filter(|(_, x)| **x >= ends[0] && **x <= ends[1]) {
-        let all: Vec<f64> = wheels.iter().filter_map(|w| w.irregularity_m.get(i)).copied().collect();
-        known.push(spline.at(*x));
-        squares.push((mean(&all) - spline.at(*x)).powi(2));
-    }
-    let high = known.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-    let low = known.iter().copied().fold(f64::INFINITY, f64::min);
-    mean(&squares).sqrt() / (high - low)
+    let ends = scan.position_m[0]..=scan.position_m[scan.position_m.len() - 1];
+    let both: Vec<(f64, &Interval)> = (i.position_m.iter().zip(&i.mean_irregularity_m))
+        .filter(|(x, _)| ends.contains(x))
+        .map(|(x, found)| (spline.at(*x), found))
+        .collect();
+    let high = both.iter().map(|b| b.0).fold(f64::NEG_INFINITY, f64::max);
+    let low = both.iter().map(|b| b.0).fold(f64::INFINITY, f64::min);
+    let squares: Vec<f64> = both.iter().map(|(z, found)| (found.value - z).powi(2)).collect();
+    let stated = both.iter().all(|(_, found)| found.lower.is_finite());
+    let inside = both.iter().filter(|(z, found)| (found.lower..=found.upper).contains(z)).count();
+    let share = if stated { inside as f64 / both.len() as f64 } else { f64::NAN };
+    [mean(&squares).sqrt() / (high - low), share]
 }
 
 #[cfg(test)]

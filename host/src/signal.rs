@@ -17,6 +17,9 @@ use faer::c64;
 use rayon::iter::IndexedParallelIterator;
 use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
 
+/// 90 % of a normal distribution lie within this many standard deviations.
+pub const HALF_WIDTH_90: f64 = 1.6449;
+
 type Plans<T> = RefCell<HashMap<usize, Arc<T>>>;
 
 thread_local! {

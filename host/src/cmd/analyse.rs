@@ -19,7 +19,7 @@ use crate::results::{summary_json, write_results};
 /// Analyse the recordings of one crossing: ballast, contact forces, irregularity, condition
 ///
 /// Reads a site directory (crossing.toml and passages.parquet, or passages.csv with passages/*.csv) and writes
-/// forces.parquet, ballast.csv, indicators.json, modes.csv and report.html.
+/// forces.parquet, ballast.csv, indicators.json, modes.csv, mean_irregularity.csv and report.html.
 #[derive(Args)]
 #[command(after_help = "Example:\n  cpcm analyse tests/data/field/reference-1 --out results")]
 pub(super) struct AnalyseArgs {
@@ -114,21 +114,27 @@ pub(super) fn summary(analysis: &Analysis) -> String {
     let included: String = analysis.effects_included.iter().map(|e| format!("\nincluded      {e}")).collect();
     format!(
         "site          {}\ncondition     {condition}\nurgency       {}\naction        {}\n\
-         force peak    {:.0} kN (middle 80 %: {:.0} … {:.0}, threshold {:.0})\n\
-         irregularity  {:.0} µm RMS (middle 80 %: {:.0} … {:.0}, threshold {:.0})\n\
+         force peak    {:.1} kN in the mean (90 %: {:.1} … {:.1}), threshold {:.0}\n\
+         \x20             {:.0} … {:.0} kN in the middle 80 % of the wheels\n\
+         irregularity  {:.0} µm RMS in the mean (90 %: {:.0} … {:.0}), threshold {:.0}\n\
+         \x20             {:.0} … {:.0} µm in the middle 80 % of the wheels\n\
          ballast       {:.1} MN/m² under the crossing (90 %: {:.1} … {:.1}), {:.1} elsewhere\n\
          passages      {} used, {} left out{included}",
         analysis.crossing.name,
         i.urgency,
         i.recommended_action,
         1e-3 * f.mean,
+        1e-3 * f.mean90[0],
+        1e-3 * f.mean90[1],
+        1e-3 * f.threshold,
         1e-3 * f.p10,
         1e-3 * f.p90,
-        1e-3 * f.threshold,
         1e6 * r.mean,
+        1e6 * r.mean90[0],
+        1e6 * r.mean90[1],
+        1e6 * r.threshold,
         1e6 * r.p10,
         1e6 * r.p90,
-        1e6 * r.threshold,
         1e-6 * b.p2_n_m2.value,
         1e-6 * b.p2_n_m2.lower,
         1e-6 * b.p2_n_m2.upper,

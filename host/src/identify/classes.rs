@@ -1,6 +1,8 @@
 //! Classes of speed: over a crossing the force of a train at 15 m/s is another than that of one at 45 m/s, by more than in proportion to
 //! the speed. Trains of one class share their force; ballast is that of all.
 
+use faer::MatRef;
+
 use super::common_force;
 use crate::greens::GreensFunctions;
 use crate::inverse::hierarchy::{SitePassage, SitePosterior};
@@ -26,6 +28,12 @@ impl ForceClass {
     /// Force deviation that all wheels share.
     pub fn profile(&self) -> &CommonProfile {
         &self.posterior.profile
+    }
+
+    /// Posterior covariance of that profile's entries.
+    pub fn profile_covariance(&self) -> MatRef<'_, f64> {
+        let p = self.profile().value.len();
+        self.posterior.covariance.submatrix(0, 0, p, p)
     }
 
     /// How far a speed is from those of the class, as a ratio's logarithm.

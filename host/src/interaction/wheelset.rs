@@ -50,8 +50,12 @@ impl Wheelset {
     /// compression of the contact.
     pub fn relative_path_m(&self, leading: bool, deviation_n: &Mat<f64>) -> Mat<f64> {
         let load_m = &self.load_m[usize::from(!leading)];
-        let stock_n = self.stock.solve(&self.back * deviation_n + &load_m[1]) * faer::Scale(-1.0);
-        (&self.crossing * deviation_n + &self.across * stock_n + &load_m[0]) * faer::Scale(-1.0)
+        self.path_change_m(deviation_n) + &self.across * self.stock.solve(&load_m[1]) - &load_m[0]
+    }
+
+    /// Change of that path with changes of the force, a column each.
+    pub fn path_change_m(&self, change_n: &Mat<f64>) -> Mat<f64> {
+        &self.across * self.stock.solve(&self.back * change_n) - &self.crossing * change_n
     }
 }
 
@@ -85,6 +89,13 @@ mod tests {
         let force = motion.solve(&path);
         let contact = bogie.contact_compliance_m_n(STATIC_N);
         let found = interaction.wheelset(&position_m, 1.0, STATIC_N).relative_path_m(true, &force[0][0]);
+        let wheelset = interaction.wheelset(&position_m, 1.0, STATIC_N);
+        let changed = wheelset.relative_path_m(true, &(2.0 * &force[0][0])) - &found;
+        let change = wheelset.path_change_m(&force[0][0]);
+        assert!(
+            (0..n).all(|k| (changed[(k, 0)] - change[(k, 0)]).abs() < 1e-12),
+            "the path is linear in the force"
+        );
         for (k, x) in position_m.iter().enumerate().filter(|(_, x)| x.abs() < 1.2) {
             let z = found[(k, 0)] - contact * force[0][0][(k, 0)];
             // What the other wheelset does through the bogie frame is left out, a slow drift.

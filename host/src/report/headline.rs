@@ -85,7 +85,15 @@ fn facts(analysis: &Analysis) -> Vec<(&'static str, String, String)> {
 
 fn spread(s: Spread, factor: f64, unit: &str) -> String {
     let (p10, p90, threshold) = (factor * s.p10, factor * s.p90, factor * s.threshold);
-    format!("middle 80 %: {p10:.0}\u{2013}{p90:.0} {unit}; threshold {threshold:.0} {unit}")
+    let wheels = format!(
+        "middle 80 % of the wheels: {p10:.0}\u{2013}{p90:.0} {unit}; threshold {threshold:.0} {unit}"
+    );
+    match s.mean90.map(|v| factor * v) {
+        [lower, upper] if lower.is_finite() && upper.is_finite() => {
+            format!("mean; 90 %: {lower:.1}\u{2013}{upper:.1} {unit}; {wheels}")
+        }
+        _ => wheels,
+    }
 }
 
 fn ballast(b: &BallastEstimate) -> (&'static str, String, String) {

@@ -1,4 +1,4 @@
-//! `indicators.json` and `modes.csv`.
+//! `indicators.json`, `modes.csv` and `mean_irregularity.csv`.
 
 use serde::Serialize;
 
@@ -24,6 +24,8 @@ struct File<'a> {
 #[derive(Serialize)]
 struct Indicator {
     mean: f64,
+    /// 90 % interval of the mean.
+    mean90: [f64; 2],
     range80: [f64; 2],
     threshold: f64,
     first_svd_mode: Mode,
@@ -71,6 +73,7 @@ impl From<Interval> for IntervalJson {
 fn indicator(spread: Spread, column: &'static str) -> Indicator {
     Indicator {
         mean: spread.mean,
+        mean90: spread.mean90,
         range80: [spread.p10, spread.p90],
         threshold: spread.threshold,
         first_svd_mode: Mode { file: "modes.csv", column },
@@ -104,6 +107,15 @@ pub(super) fn json(analysis: &Analysis) -> String {
     };
     // Numbers and strings only: serde_json writes NaN as null and has nothing else to refuse.
     serde_json::to_string_pretty(&file).unwrap_or_default() + "\n"
+}
+
+/// Mean irregularity with its 90 % interval.
+pub(super) fn mean_irregularity_csv(indicators: &Indicators) -> String {
+    let mut text = String::from("position_m,irregularity_m,lower_m,upper_m\n");
+    for (x, z) in indicators.position_m.iter().zip(&indicators.mean_irregularity_m) {
+        text.push_str(&format!("{x:.6},{},{},{}\n", z.value, z.lower, z.upper));
+    }
+    text
 }
 
 /// First SVD modes on their common grid.

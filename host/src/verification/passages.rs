@@ -308,7 +308,7 @@ fn evidence(bogie: &Bogie, noisy: &[Vec<f64>], passages: &Passages) -> Result<(E
         errors.add(&known, &found.force_n);
         inside += (0..known.len())
             .filter(|i| {
-                (known[*i] - found.force_n[*i]).abs() <= crate::kernel::HALF_WIDTH_90 * found.sd_n[*i]
+                (known[*i] - found.force_n[*i]).abs() <= crate::signal::HALF_WIDTH_90 * found.sd_n[*i]
             })
             .count();
         all += known.len();

@@ -103,8 +103,8 @@ impl SiteMethods {
         let mut table = Table::new(
             &format!("Forces and ballast against the truth, site {}", self.site),
             "Error of the force below 250 Hz in the transition region: |peak| median and 90th percentile, waveform (RMS over peak \
-             to peak) median, position of the peak; speed; displacement while the train passes (RMS over peak to peak); mean irregularity against the laser scan (RMS over peak to peak); share of \
-             true peaks and of true samples inside the 90 % interval. p1, p2 in MN/m².",
+             to peak) median, position of the peak; speed; displacement while the train passes (RMS over peak to peak); mean irregularity against the laser scan (RMS over peak to peak); share of the scan \
+             inside the 90 % interval of that mean; error of the mean peak, and its interval; share of true peaks and of true samples inside the 90 % interval. p1, p2 in MN/m².",
             &[
                 "method",
                 "peak",
@@ -114,6 +114,8 @@ impl SiteMethods {
                 "speed",
                 "displacement",
                 "irregularity",
+                "scan inside",
+                "mean peak (90 %)",
                 "peaks inside",
                 "samples inside",
                 "p1",
@@ -153,6 +155,11 @@ impl SiteMethods {
             percent(Score::median(&score.speed), 3),
             percent(Score::median(&score.displacement), 2),
             percent(score.irregularity, 1),
+            share(score.irregularity_coverage),
+            match (ballast, score.mean_peak) {
+                (0, [error, half]) => format!("{:+.2} % (\u{b1} {:.2})", 100.0 * error, 100.0 * half),
+                (_, [error, _]) => format!("{:+.2} %", 100.0 * error),
+            },
             share(score.peak_coverage),
             share(score.waveform_coverage),
             cell(p1, 1e-6, 1),
@@ -164,9 +171,9 @@ impl SiteMethods {
 
 /// Ballast alone.
 fn ballast_row(name: &str, [p1, p2, p3]: [f64; 3]) -> Vec<String> {
-    let mut row = vec![String::new(); 13];
+    let mut row = vec![String::new(); 15];
     row[0] = name.into();
-    row[10..].clone_from_slice(&[
+    row[12..].clone_from_slice(&[
         format!("{:.1}", 1e-6 * p1),
         format!("{:.1}", 1e-6 * p2),
         format!("{p3:.2}"),
@@ -188,6 +195,8 @@ fn baseline_row(b: &Baseline) -> Vec<String> {
         none(),
         none(),
         percent(b.irregularity, 1),
+        none(),
+        none(),
         none(),
         none(),
         format!("{p1:.1}"),

@@ -10,6 +10,7 @@ use crate::greens::moving::{WheelPath, constant_force_response, kernel, own_posi
 use crate::greens::moving_response::RailGreens;
 use crate::greens::{Chain, GreensFunctions, GreensSampling, Quantity};
 use crate::identify::IdentifiedSite;
+use crate::indicator::indicators;
 use crate::inverse::displacement::{DisplacementModel, Rule, RuleForce, RuleSolver};
 use crate::irregularity::irregularity;
 use crate::progress::Progress;
@@ -84,7 +85,9 @@ impl<'a> DisplacementChain<'a> {
                 out
             })
             .collect::<Result<Vec<_>, _>>()?;
-        Ok(Analysis { passages, ..analysis.clone() })
+        let grid_m = &analysis.indicators.position_m;
+        let indicators = indicators(&passages, grid_m, self.identified.usual_force_n());
+        Ok(Analysis { passages, indicators, ..analysis.clone() })
     }
 
     fn timing(&self, index: usize) -> Timing {

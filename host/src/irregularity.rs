@@ -73,7 +73,7 @@ fn in_band(path_m: &[f64], rate_hz: f64, speed_m_s: f64, position_m: &[f64], gri
     on_grid(position_m, &brick_band(&without_cubic(path_m), rate_hz, longest_hz, LOW_PASS_HZ), grid_m)
 }
 
-/// What [`in_band`] makes of `samples` values before they go to a grid, as a matrix.
+/// What becomes of the path at the samples before it goes to a grid, as a matrix: without a cubic, in the band of the irregularity.
 pub fn in_band_matrix(samples: usize, rate_hz: f64, speed_m_s: f64) -> Mat<f64> {
     let longest_hz = speed_m_s / LONGEST_WAVELENGTH_M;
     matrix(samples, |one| brick_band(&without_cubic(one), rate_hz, longest_hz, LOW_PASS_HZ))

@@ -20,4 +20,4 @@ figure() {
         --screenshot="docs/figures/$3.png" "file://$dir/figure.html" 2>/dev/null
 }
 figure "Wheel–rail contact force" 640 forces
-figure "Crossing irregularity" 620 irregularity
+figure "Crossing irregularity" 665 irregularity

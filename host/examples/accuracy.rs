@@ -21,10 +21,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         return Err("name one site directory with truth, or more".into());
     }
     println!(
-        "site                     force peak    waveform   at peak    speed  displacement  irregularity   in interval   time"
+        "site                     force peak    waveform   at peak    speed  displacement  irregularity       in interval   mean peak (90 %)   time"
     );
     println!(
-        "                         median  90 %    median    median   median        median          mean   peak  curve"
+        "                         median  90 %    median    median   median        median          mean  peak  curve   scan"
     );
     let mut effects = Vec::new();
     let mut args = std::env::args().skip(1);
@@ -44,7 +44,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let s = score(&analysis, &read_truth(dir)?);
         let percent = |values: &[f64]| 100.0 * Score::median(values);
         println!(
-            "{:<23} {:>5.2} % {:>5.2} % {:>5.2} % {:>6.1} mm {:>6.3} %      {:>5.2} %       {:>5.2} %  {:>3.0} %  {:>3.0} % {:>4.1} s",
+            "{:<23} {:>5.2} % {:>5.2} % {:>5.2} % {:>6.1} mm {:>6.3} %      {:>5.2} %       {:>5.2} % {:>3.0} %  {:>3.0} %  {:>3.0} %  {:>+5.2} % (± {:.2}) {:>4.1} s",
             dir.file_name().unwrap_or_default().display(),
             percent(&s.peak),
             100.0 * Score::p90(&s.peak),
@@ -55,6 +55,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             100.0 * s.irregularity,
             100.0 * s.peak_coverage,
             100.0 * s.waveform_coverage,
+            100.0 * s.irregularity_coverage,
+            100.0 * s.mean_peak[0],
+            100.0 * s.mean_peak[1],
             seconds,
         );
         if let Some([p1, p2, p3]) = s.ballast_truth {

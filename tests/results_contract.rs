@@ -67,17 +67,23 @@ fn regress_values_of_forces_are_the_same_bits() {
     assert_eq!(first.number("peak_force_n"), peak);
 }
 
+/// Rows of a file of numbers, with this header.
+fn numbers_of(dir: &TempDir, name: &str, header: &str) -> Vec<Vec<f64>> {
+    let text = std::fs::read_to_string(dir.path().join("new/results").join(name)).unwrap();
+    let mut lines = text.lines();
+    assert_eq!(lines.next(), Some(header));
+    lines.map(|l| l.split(',').map(|c| c.parse().unwrap()).collect()).collect()
+}
+
 #[test]
 fn reference_ballast_csv() {
     let (dir, analysis) = written();
-    let text = std::fs::read_to_string(dir.path().join("new/results/ballast.csv")).unwrap();
-    let mut lines = text.lines();
-    assert_eq!(lines.next(), Some("sleeper,stiffness_n_m2,lower_n_m2,upper_n_m2"));
-    assert_eq!(lines.clone().count(), analysis.crossing.track.n_sleepers);
-    let crossing: Vec<f64> = lines.nth(30).unwrap().split(',').map(|c| c.parse().unwrap()).collect();
+    let rows = numbers_of(&dir, "ballast.csv", "sleeper,stiffness_n_m2,lower_n_m2,upper_n_m2");
+    assert_eq!(rows.len(), analysis.crossing.track.n_sleepers);
+    let crossing = &rows[30];
     let k = analysis.ballast.stiffness_n_m2[30];
     assert_eq!(k.value, 18e6);
-    assert_eq!(crossing, [30.0, k.value, k.lower, k.upper]);
+    assert_eq!(crossing, &[30.0, k.value, k.lower, k.upper]);
 }
 
 #[test]
@@ -108,10 +114,7 @@ fn reference_indicators_json() {
 #[test]
 fn reference_mean_irregularity_csv() {
     let (dir, analysis) = written();
-    let text = std::fs::read_to_string(dir.path().join("new/results/mean_irregularity.csv")).unwrap();
-    let mut lines = text.lines();
-    assert_eq!(lines.next(), Some("position_m,irregularity_m,lower_m,upper_m"));
-    let rows: Vec<Vec<f64>> = lines.map(|l| l.split(',').map(|c| c.parse().unwrap()).collect()).collect();
+    let rows = numbers_of(&dir, "mean_irregularity.csv", "position_m,irregularity_m,lower_m,upper_m");
     let i = &analysis.indicators;
     assert_eq!(rows.len(), i.position_m.len());
     for (row, (x, z)) in rows.iter().zip(i.position_m.iter().zip(&i.mean_irregularity_m)) {

@@ -184,3 +184,45 @@ pub enum Condition {
     /// Both above.
     Damaged,
 }
+
+/// Wheels and trains of which tests need only this much.
+#[cfg(test)]
+pub(crate) mod examples {
+    use super::*;
+
+    /// A wheel with a peak, newtons, and the RMS of its irregularity, metres, on a grid of one place.
+    pub(crate) fn wheelset(
+        wheelset: usize,
+        peak_n: f64,
+        irregularity_rms_m: f64,
+        flags: &[&str],
+    ) -> WheelsetResult {
+        WheelsetResult {
+            wheelset,
+            position_m: vec![0.0],
+            contact_force_n: vec![peak_n],
+            lower_n: vec![peak_n],
+            upper_n: vec![peak_n],
+            peak_force_n: Interval { value: peak_n, lower: peak_n, upper: peak_n },
+            peak_position_m: 0.0,
+            irregularity_m: vec![0.0],
+            irregularity_rms_m,
+            flags: flags.iter().map(|f| (*f).into()).collect(),
+        }
+    }
+
+    /// A train of these wheels, without traces.
+    pub(crate) fn passage(wheelsets: Vec<WheelsetResult>) -> PassageResult {
+        PassageResult {
+            passage_id: 0,
+            speed_m_s: 40.0,
+            temperature_c: 10.0,
+            axle_times_s: vec![0.5],
+            trace_rate_hz: 1000.0,
+            acceleration_m_s2: Vec::new(),
+            displacement_m: Vec::new(),
+            model_displacement_m: Vec::new(),
+            wheelsets,
+        }
+    }
+}

@@ -233,7 +233,7 @@ fn causes_of(
     let gains = estimator.gains(position_m, LOW_PASS_HZ, class.profile());
     let ballast = ballast_sensitivity(site, class, &geometry, position_m)?;
     let profile_covariance = class.profile_covariance();
-    let known: Mat<f64> = Mat::from_fn(3, 3, |i, j| site.ballast.covariance[i][j]);
+    let known = site.ballast.covariance_matrix();
     let position_sd_m = position_sd_m(site, index);
     let causes = gains.into_iter().zip(ballast).map(|(axle, ballast_n)| {
         let slope = slope_per_m(position_m, &axle.base_n);

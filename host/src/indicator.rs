@@ -169,36 +169,14 @@ pub fn first_mode(curves: &[&[f64]], len: usize) -> Vec<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::analysis::Interval;
+    use crate::analysis::examples::{passage, wheelset};
 
     /// Indicators of one wheel, as shares of their thresholds.
     fn of_wheel([force, irregularity]: [f64; 2], flags: &[&str]) -> Indicators {
         let static_n = 76e3;
         let peak_n = force * PEAK_RATIO_THRESHOLD * static_n;
-        let wheelset = WheelsetResult {
-            wheelset: 0,
-            position_m: vec![0.0],
-            contact_force_n: vec![peak_n],
-            lower_n: vec![peak_n],
-            upper_n: vec![peak_n],
-            peak_force_n: Interval { value: peak_n, lower: peak_n, upper: peak_n },
-            peak_position_m: 0.0,
-            irregularity_m: vec![0.0],
-            irregularity_rms_m: irregularity * IRREGULARITY_RMS_THRESHOLD_M,
-            flags: flags.iter().map(|f| (*f).into()).collect(),
-        };
-        let passage = PassageResult {
-            passage_id: 0,
-            speed_m_s: 40.0,
-            temperature_c: 10.0,
-            axle_times_s: vec![0.5],
-            trace_rate_hz: 1000.0,
-            acceleration_m_s2: Vec::new(),
-            displacement_m: Vec::new(),
-            model_displacement_m: Vec::new(),
-            wheelsets: vec![wheelset],
-        };
-        indicators(&[passage], &[0.0], static_n)
+        let wheel = wheelset(0, peak_n, irregularity * IRREGULARITY_RMS_THRESHOLD_M, flags);
+        indicators(&[passage(vec![wheel])], &[0.0], static_n)
     }
 
     #[test]

@@ -7,7 +7,7 @@ use crate::forces::{LOW_PASS_HZ, WheelForce};
 use crate::greens::moving_response::RailGreens;
 use crate::interaction::Wheelset;
 use crate::recording::Vehicle;
-use crate::signal::{CubicSpline, brick_band, resample};
+use crate::signal::{CubicSpline, brick_band, one_at, resample};
 
 /// Longest wavelength kept, metres (paper, section 5): double integration over a few metres drifts beyond it.
 pub const LONGEST_WAVELENGTH_M: f64 = 1.0;
@@ -69,14 +69,17 @@ pub fn irregularity_of_wheelset(
 
 /// Band-passed path, given at the samples, at `grid_m`.
 fn in_band(path_m: &[f64], rate_hz: f64, speed_m_s: f64, position_m: &[f64], grid_m: &[f64]) -> Vec<f64> {
-    let longest_hz = speed_m_s / LONGEST_WAVELENGTH_M;
-    on_grid(position_m, &brick_band(&without_cubic(path_m), rate_hz, longest_hz, LOW_PASS_HZ), grid_m)
+    on_grid(position_m, &banded(path_m, rate_hz, speed_m_s), grid_m)
+}
+
+/// Path at the samples without a cubic, in the band of the irregularity.
+fn banded(path_m: &[f64], rate_hz: f64, speed_m_s: f64) -> Vec<f64> {
+    brick_band(&without_cubic(path_m), rate_hz, speed_m_s / LONGEST_WAVELENGTH_M, LOW_PASS_HZ)
 }
 
 /// What becomes of the path at the samples before it goes to a grid, as a matrix: without a cubic, in the band of the irregularity.
 pub fn in_band_matrix(samples: usize, rate_hz: f64, speed_m_s: f64) -> Mat<f64> {
-    let longest_hz = speed_m_s / LONGEST_WAVELENGTH_M;
-    matrix(samples, |one| brick_band(&without_cubic(one), rate_hz, longest_hz, LOW_PASS_HZ))
+    matrix(samples, |one| banded(one, rate_hz, speed_m_s))
 }
 
 /// [`on_grid`] as a matrix.
@@ -86,7 +89,7 @@ pub fn on_grid_matrix(position_m: &[f64], grid_m: &[f64]) -> Mat<f64> {
 
 /// A linear map of `samples` values, column by column.
 fn matrix(samples: usize, map: impl Fn(&[f64]) -> Vec<f64> + Sync) -> Mat<f64> {
-    let column = |j: usize| map(&(0..samples).map(|i| f64::from(u8::from(i == j))).collect::<Vec<_>>());
+    let column = |j: usize| map(&one_at(j, samples));
     let columns: Vec<Vec<f64>> = (0..samples).into_par_iter().map(column).collect();
     Mat::from_fn(columns.first().map_or(0, Vec::len), samples, |i, j| columns[j][i])
 }

@@ -7,18 +7,18 @@
 
 use faer::Mat;
 
-use crate::analysis::{PassageResult, WheelsetResult, explained};
+use crate::analysis::{Indicators, PassageResult, WheelsetResult, explained};
 use crate::forces::{SharedCauses, Spread, deviations, position_sd_m, slope_per_m};
 use crate::identify::IdentifiedSite;
 use crate::interaction::{Interaction, Wheelset};
 use crate::inverse::hierarchy::kinds;
 use crate::irregularity::{compression_slope_m_n, in_band_matrix, on_grid_matrix};
 use crate::recording::Vehicle;
-use crate::signal::{mean, mean_of};
+use crate::signal::{mean, mean_of, nearest, one_at};
 
 /// How far the path behind the forces, as a whole, may be deeper or flatter than a laser scan of it, relative: on recordings of
-/// another program its depth is 1.01, 0.89 and 0.96 of the scan's, and 1.03, 0.90 and 0.95 by the true forces on the true ballast, of
-/// which none of the other causes is.
+/// another program its depth is 1.01, 0.89 and 0.96 of the scan's, and 1.03, 0.90 and 0.95 by the true forces on the true ballast,
+/// which none of the other causes accounts for.
 const DEPTH_SD: f64 = 0.07;
 
 /// Standard deviations of averages over the wheels that the model explains.
@@ -61,35 +61,35 @@ struct Alike<'a> {
     wheels: Vec<&'a WheelsetResult>,
 }
 
-/// Errors of the averages over a site; `grid_m` is that of its results.
+/// Errors of the averages over a site, which `means` holds.
 pub fn mean_errors(
     (site, spreads): (&IdentifiedSite, &[Spread]),
     tracks: &Tracks,
     passages: &[PassageResult],
-    grid_m: &[f64],
+    means: &Indicators,
 ) -> MeanErrors {
+    let grid_m = &means.position_m;
     let used = explained(passages);
-    let all: Vec<&WheelsetResult> = used.iter().flat_map(|p| &p.wheelsets).collect();
+    let wheels = used.iter().map(|p| p.wheelsets.len()).sum();
     let groups = alike((site, spreads), tracks, &used, grid_m);
-    let average = Average { site, groups: &groups, wheels: all.len() };
+    let average = Average { site, groups: &groups, wheels };
     let at_peak = |w: &WheelsetResult| one_at(nearest(grid_m, w.peak_position_m), grid_m.len());
     let of_rms = |w: &WheelsetResult| {
         let scale = 1.0 / (w.irregularity_rms_m.max(f64::MIN_POSITIVE) * grid_m.len() as f64);
         w.irregularity_m.iter().map(|z| scale * z).collect()
     };
     let of = |value: &dyn Fn(&WheelsetResult) -> f64| scatter(&used, value);
-    let irregularity = mean_of(&all.iter().map(|w| w.irregularity_m.clone()).collect::<Vec<_>>());
-    // One speed is as good as another here: the lag is a time, and trains of a site differ by a third.
+    let irregularity: Vec<f64> = means.mean_irregularity_m.iter().map(|z| z.value).collect();
+    // The lag is a time, and every class of speeds has its own distance for it.
     let position_sd_m = mean(&spreads.iter().map(|s| position_sd_m(site, s.passage)).collect::<Vec<_>>());
     let shifted_m = slope_per_m(grid_m, &irregularity);
     let curve = average.curve().into_iter().zip(shifted_m).enumerate();
-    let mean_rms_m = mean(&all.iter().map(|w| w.irregularity_rms_m).collect::<Vec<_>>());
     let together = |parts: &[f64]| parts.iter().map(|p| p.powi(2)).sum::<f64>().sqrt();
     MeanErrors {
         peak_force_n: together(&[average.of(|moves| &moves.force_n, at_peak), of(&|w| w.peak_force_n.value)]),
         irregularity_rms_m: together(&[
             average.of(|moves| &moves.irregularity_m, of_rms),
-            DEPTH_SD * mean_rms_m,
+            DEPTH_SD * means.irregularity_rms_m.mean,
             of(&|w| w.irregularity_rms_m),
         ]),
         irregularity_m: curve
@@ -143,7 +143,7 @@ impl Average<'_> {
             add(&mut classes[group.class], share * moves.profile);
             add(&mut ballast, share * moves.ballast);
         }
-        let known = Mat::from_fn(3, 3, |i, j| self.site.ballast.covariance[i][j]);
+        let known = self.site.ballast.covariance_matrix();
         let of_class = |(class, moves): (usize, &Option<Mat<f64>>)| {
             let covariance = self.site.classes[class].profile_covariance();
             moves.as_ref().map(|m| deviations(m, &(m * covariance)))
@@ -273,20 +273,10 @@ fn of_mean(values: &[f64]) -> f64 {
     (values.iter().map(|v| (v - m).powi(2)).sum::<f64>() / (n - 1.0) / n).sqrt()
 }
 
-/// Weight 1 at one of `count` places.
-fn one_at(place: usize, count: usize) -> Vec<f64> {
-    (0..count).map(|i| f64::from(u8::from(i == place))).collect()
-}
-
-fn nearest(grid_m: &[f64], at_m: f64) -> usize {
-    let far = |i: &usize| (grid_m[*i] - at_m).abs();
-    (0..grid_m.len()).min_by(|a, b| far(a).total_cmp(&far(b))).unwrap_or(0)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::analysis::Interval;
+    use crate::analysis::examples::{passage, wheelset};
     use crate::forces::WheelForce;
     use crate::identify::identify;
     use crate::irregularity::irregularity_of_wheelset;
@@ -297,29 +287,7 @@ mod tests {
 
     /// A train of wheels with these peaks, newtons.
     fn train(peaks_n: &[f64]) -> PassageResult {
-        let wheel = |(wheelset, peak): (usize, &f64)| WheelsetResult {
-            wheelset,
-            position_m: vec![0.0],
-            contact_force_n: vec![*peak],
-            lower_n: vec![*peak],
-            upper_n: vec![*peak],
-            peak_force_n: Interval { value: *peak, lower: *peak, upper: *peak },
-            peak_position_m: 0.0,
-            irregularity_m: vec![0.0],
-            irregularity_rms_m: 0.0,
-            flags: Vec::new(),
-        };
-        PassageResult {
-            passage_id: 0,
-            speed_m_s: 40.0,
-            temperature_c: 10.0,
-            axle_times_s: vec![0.5],
-            trace_rate_hz: 1000.0,
-            acceleration_m_s2: Vec::new(),
-            displacement_m: Vec::new(),
-            model_displacement_m: Vec::new(),
-            wheelsets: peaks_n.iter().enumerate().map(wheel).collect(),
-        }
+        passage(peaks_n.iter().enumerate().map(|(i, peak)| wheelset(i, *peak, 0.0, &[])).collect())
     }
 
     fn of(trains: &[PassageResult]) -> f64 {

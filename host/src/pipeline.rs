@@ -22,7 +22,7 @@ use crate::passage::Profile;
 use crate::progress::Progress;
 use crate::reconstruct::complementary_displacement;
 use crate::recording::{Scan, Site};
-use crate::signal::{HALF_WIDTH_90, brick_band, mean, resample, rms};
+use crate::signal::{HALF_WIDTH_90, brick_band, mean, nearest, resample, rms};
 use crate::track::{Side, Track};
 
 /// Choices in the analysis.
@@ -96,8 +96,9 @@ pub fn evaluate(identified: &IdentifiedSite, progress: &dyn Progress) -> Result<
         })
         .collect();
     let tracks = Tracks { calibrated: &interaction, moved: &moved };
-    let errors = mean_errors((identified, &spreads), &tracks, &passages, &grid);
-    let indicators = indicators(&passages, &grid, identified.usual_force_n()).with_errors(&errors);
+    let means = indicators(&passages, &grid, identified.usual_force_n());
+    let errors = mean_errors((identified, &spreads), &tracks, &passages, &means);
+    let indicators = means.with_errors(&errors);
     let misdescription = identified.misdescription;
     Ok(Analysis {
         crossing: site.crossing.clone(),
@@ -235,9 +236,7 @@ fn wheelset_result(
     let contact_force_n = on(&force.force_n);
     let half: Vec<f64> = on(&force.sd_n).iter().map(|s| HALF_WIDTH_90 * s).collect();
     let (peak, peak_position_m) = peak(grid, &contact_force_n);
-    let at_peak = (0..grid.len())
-        .min_by(|a, b| (grid[*a] - peak_position_m).abs().total_cmp(&(grid[*b] - peak_position_m).abs()))
-        .unwrap_or(0);
+    let at_peak = nearest(grid, peak_position_m);
     let at_peak_n = on_grid(&force.position_m, &force.unshifted_sd_n, &grid[at_peak..=at_peak]);
     let peak_half = HALF_WIDTH_90 * at_peak_n.first().copied().unwrap_or(f64::NAN);
     let irregularity_m = irregularity_of_wheelset(

@@ -127,6 +127,17 @@ pub fn mean_of(series: &[Vec<f64>]) -> Vec<f64> {
     (0..n).map(|k| series.iter().map(|s| s[k]).sum::<f64>() * scale).collect()
 }
 
+/// Values of `count` places, 1 at one of them and 0 at the others.
+pub fn one_at(place: usize, count: usize) -> Vec<f64> {
+    (0..count).map(|i| f64::from(u8::from(i == place))).collect()
+}
+
+/// Place of the value that is nearest to `at`; 0 of none.
+pub fn nearest(values: &[f64], at: f64) -> usize {
+    let far = |i: &usize| (values[*i] - at).abs();
+    (0..values.len()).min_by(|a, b| far(a).total_cmp(&far(b))).unwrap_or(0)
+}
+
 /// Takes the mean off, in place.
 pub fn centre(values: &mut [f64]) {
     let mean = mean(values);

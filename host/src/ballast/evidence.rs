@@ -93,6 +93,13 @@ pub struct EvidenceFit {
     pub evaluations: usize,
 }
 
+impl EvidenceFit {
+    /// [`Self::covariance`] to reckon with.
+    pub fn covariance_matrix(&self) -> Mat<f64> {
+        Mat::from_fn(3, 3, |i, j| self.covariance[i][j])
+    }
+}
+
 impl Calibration {
     /// Nothing known of the irregularity.
     pub fn starting(ballast: BallastParameters, direction: f64) -> Self {

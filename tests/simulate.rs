@@ -11,7 +11,7 @@ use cpcm::pipeline::{AnalyseOptions, analyse};
 use cpcm::progress::Silent;
 use cpcm::reconstruct::{Recording, SPEEDS_M_S, SpeedSearch, comb, estimate_speed};
 use cpcm::recording::truth::{Side, read_site_truth, read_truth, write_truth};
-use cpcm::recording::{Format, read_site, write_site};
+use cpcm::recording::{Format, TrafficDirection, read_site, write_site};
 use cpcm::scenario::effects::{VoidedSleepers, WheelFlats};
 use cpcm::scenario::{Scenario, ScenarioError, read_scenario, simulate};
 use cpcm::scoring::{Score, score};
@@ -95,6 +95,57 @@ fn regress_next_to_no_support_under_the_crossing_is_found() {
     println!("peaks {peak:.4}, waveform {waveform:.4}, p1 {:.2} of 5 MN/m2", 1e-6 * p1);
     assert!(peak < tolerance::PEAK_MEDIAN && waveform < tolerance::WAVEFORM_ON_NO_SUPPORT);
     assert!((p1 / 5e6 - 1.0).abs() < tolerance::P1_ON_NO_SUPPORT);
+}
+
+/// A noisy sensor near the end of the sleeper sees slow and light trains press it down less than its noise does, integrated twice. Each train
+/// by itself was put where noise and deflection were most alike, up to 14 m away: of 24 half were not explained, and peaks 34 % wrong.
+#[test]
+fn regress_trains_that_noise_hides_are_found_together() {
+    let mut scenario = short(12);
+    scenario.crossing.traffic_direction = TrafficDirection::Trailing;
+    scenario.crossing.pad.stiffness_n_m = 150e6;
+    (scenario.crossing.sensor.noise_rms_m_s2, scenario.crossing.sensor.y_m) = (0.5, 3.2);
+    let vehicle = &mut scenario.crossing.vehicle;
+    (vehicle.cars, vehicle.car_length_m, vehicle.bogie_centres_m) = (2, 20.0, 14.0);
+    (vehicle.axle_spacing_m, vehicle.axle_load_kg) = (1.8, 9e3);
+    let simulation = &mut scenario.simulation;
+    (simulation.speed_m_s, simulation.speed_spread) = (25.0, 0.02);
+    let score = scored(&scenario);
+    assert!(Score::median(&score.peak) < tolerance::PEAK_UNDER_NOISE);
+    assert!(score.peak_coverage > tolerance::INSIDE_UNDER_NOISE);
+}
+
+/// The same of two trains at 90 km/h with a usual sensor there, over ballast that is stiff under the crossing: waveforms were 23 % wrong, a
+/// quarter of a metre beside their place.
+#[test]
+fn regress_two_trains_over_stiff_ballast_are_found_together() {
+    let mut scenario = short(2);
+    scenario.crossing.pad.stiffness_n_m = 150e6;
+    (scenario.crossing.sensor.sample_rate_hz, scenario.crossing.sensor.y_m) = (10e3, 3.2);
+    let vehicle = &mut scenario.crossing.vehicle;
+    (vehicle.cars, vehicle.car_length_m, vehicle.bogie_centres_m) = (2, 26.4, 18.48);
+    (vehicle.axle_spacing_m, vehicle.axle_load_kg) = (2.3, 13e3);
+    let simulation = &mut scenario.simulation;
+    (simulation.seed, simulation.speed_m_s, simulation.speed_spread) = (13, 25.0, 0.02);
+    simulation.geometry.dip_m = 0.5e-3;
+    let ballast = &mut simulation.ballast;
+    (ballast.p1_n_m2, ballast.p2_n_m2, ballast.p3) = (12e6, 40e6, 0.6);
+    let score = scored(&scenario);
+    assert!(Score::median(&score.peak) < tolerance::PEAK_UNDER_NOISE);
+    assert!(Score::median(&score.waveform) < tolerance::WAVEFORM_OF_TWO_SLOW_TRAINS);
+}
+
+/// What an analysis of a scenario, simulated in numerics of its own, is worth.
+fn scored(scenario: &Scenario) -> Score {
+    let mut scenario = scenario.clone();
+    let solver = &mut scenario.simulation.solver;
+    (solver.dt_s, solver.rail_step_m, solver.sleeper_step_m) = (0.8e-4, 0.2, 0.2);
+    let simulated = simulate(&scenario, &Silent).unwrap();
+    let analysis = analyse(&simulated.site, &AnalyseOptions::default(), &Silent).unwrap();
+    let score = score(&analysis, &simulated.truth);
+    let (peak, waveform) = (Score::median(&score.peak), Score::median(&score.waveform));
+    println!("peaks {peak:.4}, {:.2} of them inside, waveform {waveform:.4}", score.peak_coverage);
+    score
 }
 
 /// Four axles stack by chance at 8 m/s, a fifth of their speed, which was taken for two trains of six.

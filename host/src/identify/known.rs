@@ -2,16 +2,17 @@
 
 use super::classes::{ForceClass, class_of, forces_of_classes};
 use super::described::{Descriptions, Heard};
-use super::hits::{Hit, back_to_hits};
+use super::hits::{Hit, back_to_hits, together_m, usual_m};
 use super::sound::UNLIKE;
 use super::{HYPER_PASSAGES, IdentifyError, calibrated_greens, force_model, some_of, spread_out};
 use crate::ballast::BallastParameters;
 use crate::ballast::evidence::{Calibration, EvidenceFit, EvidenceProblem, Until, realign};
 use crate::ballast::quasi_static::{QuasiStatic, QuasiStaticFit};
-use crate::greens::GreensFunctions;
+use crate::greens::{GreensFunctions, GreensSampling};
 use crate::inverse::hierarchy::SitePassage;
 use crate::progress::Progress;
 use crate::reconstruct::{Recording, Timing};
+use crate::signal::quantile;
 
 /// Passages used for the search over ballast; all are used for everything else.
 const CALIBRATION_PASSAGES: usize = 8;
@@ -67,15 +68,28 @@ impl Known<'_> {
     /// Ballast and axle times on which the sleeper sinks as recorded in some passages.
     pub(super) fn quasi_static_fit(&self, which: &[usize], progress: &dyn Progress) -> QuasiStaticFit {
         progress.begin("ballast, quasi-static", 1);
-        let mut fit = self.quasi_static(which).fit(BallastParameters::NOMINAL);
-        self.back_to_hits(which, &mut fit.first_axle_s);
+        let model = self.quasi_static(which);
+        let mut fit = model.fit(BallastParameters::NOMINAL);
+        if fit.is_doubtful() {
+            let sinking = model.sinking(&BallastParameters::NOMINAL);
+            let behind_m = together_m(&self.hits_of(which), &sinking, self.problem.direction);
+            self.by_hits(which, behind_m, &mut fit.first_axle_s);
+        } else {
+            back_to_hits(&self.hits_of(which), &mut fit.first_axle_s);
+        }
         progress.step();
         fit
     }
 
-    fn back_to_hits(&self, which: &[usize], first_axle_s: &mut [f64]) {
-        let hits: Vec<Hit> = which.iter().map(|i| self.hits[*i]).collect();
-        back_to_hits(&hits, first_axle_s);
+    fn hits_of(&self, which: &[usize]) -> Vec<Hit> {
+        which.iter().map(|i| self.hits[*i]).collect()
+    }
+
+    /// Puts trains so far behind their hits.
+    fn by_hits(&self, which: &[usize], behind_m: f64, first_axle_s: &mut [f64]) {
+        for (i, time_s) in which.iter().zip(first_axle_s) {
+            *time_s = self.hits[*i].first_axle_s(behind_m).unwrap_or(*time_s);
+        }
     }
 
     /// Identifies the site from some of its passages and their quasi-static fit.
@@ -116,7 +130,13 @@ impl Known<'_> {
             return Ok(found);
         }
         let mut first_axle_s = self.quasi_static(&others).align(&found.ballast.parameters);
-        self.back_to_hits(&others, &mut first_axle_s);
+        let of_used: Vec<f64> = found.timings.iter().map(|t| t.first_axle_s).collect();
+        match usual_m(&self.hits_of(used), &of_used) {
+            Some(behind_m) if found.quasi_static.is_doubtful() => {
+                self.by_hits(&others, behind_m, &mut first_axle_s);
+            }
+            _ => back_to_hits(&self.hits_of(&others), &mut first_axle_s),
+        }
         let mut passages = self.passages(&others, &first_axle_s);
         self.problem.follow(&found.calibration, &mut passages)?;
         let EvidenceProblem { direction, pattern, .. } = self.problem;
@@ -160,6 +180,9 @@ fn calibrate(
 ) -> Result<(Calibration, EvidenceFit), IdentifyError> {
     progress.begin("ballast by evidence", 4);
     let mut state = Calibration::starting(quasi_static.start_of_evidence(), problem.direction);
+    if quasi_static.is_doubtful() {
+        state.prior.noise_m_s2 = state.prior.noise_m_s2.max(sensor_noise_m_s2(passages));
+    }
     let all: Vec<usize> = (0..passages.len()).collect();
     let searched = spread_out(&all, CALIBRATION_PASSAGES);
     let others: Vec<usize> = all.into_iter().filter(|i| !searched.contains(i)).collect();
@@ -177,4 +200,13 @@ fn calibrate(
     let fit = problem.converge(&mut state, passages, LAST)?;
     progress.step();
     Ok((state, fit))
+}
+
+/// Noise of quiet track as the calibration samples it, in the median, m/s². Where it hides the deflection it is more than the prior begins
+/// with; what is more would be taken for something, and lead the ballast astray before the evidence has its say on the noise.
+fn sensor_noise_m_s2(passages: &[SitePassage]) -> f64 {
+    let [low_hz, high_hz] = Recording::NOISE_BAND_HZ;
+    let sampled = (0.5 * GreensSampling::low().rate_hz / (high_hz - low_hz)).sqrt();
+    let quiet: Vec<f64> = passages.iter().map(|p| p.recording.quiet_rms_m_s2).collect();
+    sampled * quantile(&quiet, 0.5)
 }

@@ -30,6 +30,8 @@ const FADE_M: [f64; 2] = [13.0, 17.0];
 const UNMODELLED: f64 = 0.3;
 /// Part of the deflection that is left from which on a fit says nothing, RMS.
 const DOUBTFUL: f64 = 0.5;
+/// Part of what is left that has to be noise for that, RMS.
+const NOISE_OF_MISFIT: f64 = 0.4;
 /// Step of the search for the first axle, s.
 const SEARCH_STEP_S: f64 = 1e-3;
 
@@ -46,6 +48,13 @@ pub struct QuasiStaticPassage {
     pattern: Vec<c64>,
     /// Squared magnitude of a line of the acceleration where the track is quiet, (m/s)².
     quiet_m2_s2: f64,
+}
+
+impl QuasiStaticPassage {
+    /// Squared magnitude that the noise of quiet track has on a line of the displacement, m² s².
+    fn noise_m2_s2(&self, frequency_hz: f64) -> f64 {
+        self.quiet_m2_s2 / (std::f64::consts::TAU * frequency_hz).powi(4)
+    }
 }
 
 /// What the deflection under a train says of when it passes.
@@ -87,16 +96,17 @@ pub struct QuasiStaticFit {
     pub first_axle_s: Vec<f64>,
     /// Remaining misfit, RMS ratio to the measured displacement in the band.
     pub misfit: f64,
+    /// Noise of quiet track in the band, RMS ratio to the measured displacement.
+    pub noise: f64,
     /// Model evaluations used.
     pub evaluations: usize,
 }
 
 impl QuasiStaticFit {
-    /// Whether it explains so little that neither its ballast nor its times mean anything: 0.04 to 0.25 is left on sites where they do,
-    /// 0.6 and more under slow trains with noisy sensors, under sensors that clip, and where the crossing shakes the sleeper more than the
-    /// trains press it down.
+    /// Whether noise hides the deflection, so that neither ballast nor times mean anything: 0.02 to 0.25 is left on sites where they do, 0.6
+    /// and more under slow trains with noisy sensors. What else leaves as much, drift or half a recording upside down, is to be noticed.
     pub fn is_doubtful(&self) -> bool {
-        self.misfit > DOUBTFUL
+        self.misfit > DOUBTFUL && self.noise > NOISE_OF_MISFIT * self.misfit
     }
 
     /// Where a fit of the whole acceleration starts: this one errs towards a soft centre, because the dynamic force leaks
@@ -147,14 +157,22 @@ impl<'a> QuasiStatic<'a> {
         self.passages.par_iter().zip(&models).map(|(p, m)| self.sinking_of(p, m)).collect()
     }
 
+    /// Noise of quiet track in the band, RMS ratio to the measured displacement.
+    fn noise(&self) -> f64 {
+        let (mut noise, mut power) = (0.0, 0.0);
+        for passage in &self.passages {
+            let lines = self.in_band(passage);
+            noise += self.frequency_hz.iter().take(lines).map(|f| passage.noise_m2_s2(*f)).sum::<f64>();
+            power += passage.measured.iter().take(lines).map(|v| v.norm_sqr()).sum::<f64>();
+        }
+        (noise / power.max(f64::MIN_POSITIVE)).sqrt()
+    }
+
     fn sinking_of(&self, passage: &QuasiStaticPassage, model: &[c64]) -> Sinking {
         let lines = self.in_band(passage);
         let strongest = model.iter().take(lines).map(c64::norm_sqr).fold(f64::MIN_POSITIVE, f64::max);
-        let weights = self.frequency_hz.iter().take(lines).map(|f| {
-            let quiet = passage.quiet_m2_s2 / (std::f64::consts::TAU * f).powi(4);
-            1.0 / (quiet + UNMODELLED.powi(2) * strongest)
-        });
-        let weights: Vec<f64> = weights.collect();
+        let weight = |f: &f64| 1.0 / (passage.noise_m2_s2(*f) + UNMODELLED.powi(2) * strongest);
+        let weights: Vec<f64> = self.frequency_hz.iter().take(lines).map(weight).collect();
         let weighted = passage.measured.iter().zip(model).zip(&weights);
         let products = weighted.clone().map(|((a, m), w)| 2.0 * w * a * m.conj()).collect();
         let squares: f64 = weighted.map(|((a, m), w)| w * (a.norm_sqr() + m.norm_sqr())).sum();
@@ -217,6 +235,7 @@ impl<'a> QuasiStatic<'a> {
             parameters,
             first_axle_s,
             misfit: (2.0 * report.objective_function.max(0.0)).sqrt(),
+            noise: self.noise(),
             evaluations: report.number_of_evaluations,
         }
     }

@@ -70,7 +70,8 @@ impl Known<'_> {
         progress.begin("ballast, quasi-static", 1);
         let model = self.quasi_static(which);
         let mut fit = model.fit(BallastParameters::NOMINAL);
-        if fit.is_doubtful() {
+        // A sensor upside down is to be noticed, not explained.
+        if fit.is_doubtful() && model.rising(&BallastParameters::NOMINAL) < UPSIDE_DOWN {
             let sinking = model.sinking(&BallastParameters::NOMINAL);
             let behind_m = together_m(&self.hits_of(which), &sinking, self.problem.direction);
             self.by_hits(which, behind_m, &mut fit.first_axle_s);

@@ -103,7 +103,7 @@ pub struct QuasiStaticFit {
 }
 
 impl QuasiStaticFit {
-    /// Whether noise hides the deflection, so that neither ballast nor times mean anything: 0.02 to 0.25 is left on sites where they do, 0.6
+    /// Whether noise hides the deflection, so that neither ballast nor times mean anything: 0.02 to 0.28 is left on sites where they do, 0.6
     /// and more under slow trains with noisy sensors. What else leaves as much, drift or half a recording upside down, is to be noticed.
     pub fn is_doubtful(&self) -> bool {
         self.misfit > DOUBTFUL && self.noise > NOISE_OF_MISFIT * self.misfit

@@ -258,26 +258,26 @@ pub fn identify<'s>(site: &'s Site, progress: &dyn Progress) -> Result<Identifie
         static_force_n: &static_force_n,
     };
     let all: Vec<usize> = (0..site.passages.len()).collect();
-    let quasi_static = known.quasi_static_fit(&all, progress);
-    let rough = quasi_static.start_of_evidence();
+    let start = known.start(&all, progress);
+    let rough = start.ballast();
     // Both begin there.
     problem.low_model(&Calibration::starting(rough, direction));
     let (found, suspicion) = rayon::join(
-        || known.of_sound_passages(&all, quasi_static, progress),
+        || known.of_sound_passages(&all, start, progress),
         || descriptions.suspicion(&known.heard(&all), &rough),
     );
     let found = found?;
     known.check_sign(&found.1, &descriptions)?;
     let OneWay { used, described, other, found } = known.one_way(found, &descriptions, progress)?;
     let misdescription = suspicion.filter(|s| descriptions.confirmed(*s, &known.heard(&used)));
-    let Found { quasi_static, calibration, ballast, greens, nearby_greens, classes, timings, misfit } = found;
+    let Found { start, calibration, ballast, greens, nearby_greens, classes, timings, misfit } = found;
     let track = descriptions.track().track.clone();
     let quiet: Vec<f64> = used.iter().map(|i| recordings[*i].quiet_rms_m_s2).collect();
     Ok(IdentifiedSite {
         site,
         timings,
         static_force_n,
-        quasi_static,
+        quasi_static: start.quasi_static,
         ballast,
         calibration,
         classes,

@@ -81,6 +81,12 @@ impl Recording {
         out
     }
 
+    /// Spectral density, one-sided, of the noise in the quiet ends, taken for white, m²/s³.
+    pub fn quiet_density_m2_s3(&self) -> f64 {
+        let [low_hz, high_hz] = Self::NOISE_BAND_HZ;
+        self.quiet_rms_m_s2.powi(2) / (high_hz - low_hz)
+    }
+
     /// As a sensor would have it that is upside down.
     pub fn inverted(&self) -> Self {
         Self { spectrum: self.spectrum.iter().map(|v| -v).collect(), ..self.clone() }

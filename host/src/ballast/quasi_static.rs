@@ -4,6 +4,10 @@
 //! The comparison is made in the frequency domain, where the brick-wall low-pass of eq. 2 is a choice of lines and
 //! the alignment of model and measurement a phase.
 
+mod times;
+
+pub use times::Sinking;
+
 use faer::c64;
 use levenberg_marquardt::{LeastSquaresProblem, LevenbergMarquardt};
 use nalgebra::{DMatrix, DVector, Dyn, Owned, Vector3};
@@ -26,15 +30,6 @@ const APPROACH_M: f64 = 6.0;
 const STEP_M: f64 = 0.1;
 /// Where the load begins to fade and where it is gone, metres from the origin: no step at the rail ends.
 const FADE_M: [f64; 2] = [13.0, 17.0];
-/// What the model does not hold of a line, relative to the strongest: dynamic force of the crossing leaks into the band.
-const UNMODELLED: f64 = 0.3;
-/// Part of the deflection that is left from which on a fit says nothing, RMS.
-const DOUBTFUL: f64 = 0.5;
-/// Part of what is left that has to be noise for that, RMS.
-const NOISE_OF_MISFIT: f64 = 0.4;
-/// Step of the search for the first axle, s.
-const SEARCH_STEP_S: f64 = 1e-3;
-
 /// One passage prepared for the comparison.
 #[derive(Clone, Debug)]
 pub struct QuasiStaticPassage {
@@ -48,33 +43,6 @@ pub struct QuasiStaticPassage {
     pattern: Vec<c64>,
     /// Squared magnitude of a line of the acceleration where the track is quiet, (m/s)².
     quiet_m2_s2: f64,
-}
-
-impl QuasiStaticPassage {
-    /// Squared magnitude that the noise of quiet track has on a line of the displacement, m² s².
-    fn noise_m2_s2(&self, frequency_hz: f64) -> f64 {
-        self.quiet_m2_s2 / (std::f64::consts::TAU * frequency_hz).powi(4)
-    }
-}
-
-/// What the deflection under a train says of when it passes.
-#[derive(Clone, Debug)]
-pub struct Sinking {
-    /// First time of the first axle at x = 0 that is looked at, s.
-    pub first_s: f64,
-    /// Log-likelihood of that time and of those behind it, [`Sinking::STEP_S`] apart.
-    pub log_likelihood: Vec<f64>,
-}
-
-impl Sinking {
-    /// Between two times, s.
-    pub const STEP_S: f64 = SEARCH_STEP_S;
-
-    /// Log-likelihood at a time; none outside what is looked at.
-    pub fn at(&self, time_s: f64) -> Option<f64> {
-        let step = (time_s - self.first_s) / Self::STEP_S;
-        if step >= 0.0 { self.log_likelihood.get(step as usize).copied() } else { None }
-    }
 }
 
 /// Lines at which model and measurement are compared, and the model to evaluate there.
@@ -96,25 +64,14 @@ pub struct QuasiStaticFit {
     pub first_axle_s: Vec<f64>,
     /// Remaining misfit, RMS ratio to the measured displacement in the band.
     pub misfit: f64,
-    /// Noise of quiet track in the band, RMS ratio to the measured displacement.
-    pub noise: f64,
     /// Model evaluations used.
     pub evaluations: usize,
 }
 
 impl QuasiStaticFit {
-    /// Whether noise hides the deflection, so that neither ballast nor times mean anything: 0.02 to 0.28 is left on sites where they do, 0.6
-    /// and more under slow trains with noisy sensors. What else leaves as much, drift or half a recording upside down, is to be noticed.
-    pub fn is_doubtful(&self) -> bool {
-        self.misfit > DOUBTFUL && self.noise > NOISE_OF_MISFIT * self.misfit
-    }
-
     /// Where a fit of the whole acceleration starts: this one errs towards a soft centre, because the dynamic force leaks
     /// into its band, and hardly sees the shape.
     pub fn start_of_evidence(&self) -> BallastParameters {
-        if self.is_doubtful() {
-            return BallastParameters::NOMINAL;
-        }
         let found = self.parameters;
         BallastParameters {
             p2_n_m2: (1.5 * found.p2_n_m2).max(0.3 * found.p1_n_m2),
@@ -143,84 +100,6 @@ impl<'a> QuasiStatic<'a> {
         Self { track, direction, frequency_hz, grid: track.rail_grid(STEP_M), passages }
     }
 
-    /// Times of the first axles for given ballast: global search, then Newton steps on the correlation.
-    pub fn align(&self, ballast: &BallastParameters) -> Vec<f64> {
-        let models = self.models(ballast);
-        self.passages.par_iter().zip(&models).map(|(p, m)| self.search_time(p, m)).collect()
-    }
-
-    /// What the deflections say of the times of the trains on given ballast.
-    ///
-    /// A line lacks the noise of quiet track, integrated twice, and a part of what is strongest; and more where the best time leaves more.
-    pub fn sinking(&self, ballast: &BallastParameters) -> Vec<Sinking> {
-        let models = self.models(ballast);
-        self.passages.par_iter().zip(&models).map(|(p, m)| self.sinking_of(p, m)).collect()
-    }
-
-    /// Noise of quiet track in the band, RMS ratio to the measured displacement.
-    fn noise(&self) -> f64 {
-        let (mut noise, mut power) = (0.0, 0.0);
-        for passage in &self.passages {
-            let lines = self.in_band(passage);
-            noise += self.frequency_hz.iter().take(lines).map(|f| passage.noise_m2_s2(*f)).sum::<f64>();
-            power += passage.measured.iter().take(lines).map(|v| v.norm_sqr()).sum::<f64>();
-        }
-        (noise / power.max(f64::MIN_POSITIVE)).sqrt()
-    }
-
-    fn sinking_of(&self, passage: &QuasiStaticPassage, model: &[c64]) -> Sinking {
-        let lines = self.in_band(passage);
-        let strongest = model.iter().take(lines).map(c64::norm_sqr).fold(f64::MIN_POSITIVE, f64::max);
-        let weight = |f: &f64| 1.0 / (passage.noise_m2_s2(*f) + UNMODELLED.powi(2) * strongest);
-        let weights: Vec<f64> = self.frequency_hz.iter().take(lines).map(weight).collect();
-        let weighted = passage.measured.iter().zip(model).zip(&weights);
-        let products = weighted.clone().map(|((a, m), w)| 2.0 * w * a * m.conj()).collect();
-        let squares: f64 = weighted.map(|((a, m), w)| w * (a.norm_sqr() + m.norm_sqr())).sum();
-        let mut log_likelihood = self.correlation(passage, products);
-        let best = log_likelihood.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-        let left = ((squares - best) / lines.max(1) as f64).max(1.0);
-        log_likelihood.iter_mut().for_each(|l| *l /= left);
-        Sinking { first_s: passage.search_s[0], log_likelihood }
-    }
-
-    /// Σ over the lines of products with a turning phase, at every time that is looked at.
-    fn correlation(&self, passage: &QuasiStaticPassage, mut products: Vec<c64>) -> Vec<f64> {
-        let [from_s, to_s] = passage.search_s;
-        let count = ((to_s - from_s).max(0.0) / SEARCH_STEP_S) as usize + 1;
-        let turn = |k: usize, s: f64| unit(std::f64::consts::TAU * self.frequency_hz[k] * s);
-        // The phases advance by constant factors: powers are cheaper than sines.
-        let advance: Vec<c64> = (0..products.len()).map(|k| turn(k, SEARCH_STEP_S)).collect();
-        products.iter_mut().enumerate().for_each(|(k, p)| *p *= turn(k, from_s));
-        (0..count)
-            .map(|_| {
-                let sum = products.iter().map(|p| p.re).sum();
-                products.iter_mut().zip(&advance).for_each(|(p, a)| *p *= a);
-                sum
-            })
-            .collect()
-    }
-
-    /// Share of the passages in which a track that rises under the wheels matches better than one that sinks: near 1 where the sensor is
-    /// upside down.
-    pub fn rising(&self, ballast: &BallastParameters) -> f64 {
-        let models = self.models(ballast);
-        let rises = |(p, m): &(&QuasiStaticPassage, &Vec<c64>)| {
-            let down: Vec<c64> = m.iter().map(|v| -v).collect();
-            let match_of = |model: &[c64]| {
-                let time = self.search_time(p, model);
-                (0..self.in_band(p))
-                    .map(|k| {
-                        let turn = unit(std::f64::consts::TAU * self.frequency_hz[k] * time);
-                        (p.measured[k] * model[k].conj() * turn).re
-                    })
-                    .sum::<f64>()
-            };
-            match_of(&down) > match_of(m)
-        };
-        let count = self.passages.iter().zip(&models).filter(rises).count();
-        count as f64 / self.passages.len().max(1) as f64
-    }
-
     /// Fits the three parameters, times of the axles included, from `start`.
     pub fn fit(&self, start: BallastParameters) -> QuasiStaticFit {
         let first_axle_s = self.align(&start);
@@ -235,7 +114,6 @@ impl<'a> QuasiStatic<'a> {
             parameters,
             first_axle_s,
             misfit: (2.0 * report.objective_function.max(0.0)).sqrt(),
-            noise: self.noise(),
             evaluations: report.number_of_evaluations,
         }
     }
@@ -332,38 +210,6 @@ impl<'a> QuasiStatic<'a> {
 
     fn in_band(&self, passage: &QuasiStaticPassage) -> usize {
         self.frequency_hz.partition_point(|f| *f <= passage.speed_m_s / SEPARATION_WAVELENGTH_M)
-    }
-
-    fn search_time(&self, passage: &QuasiStaticPassage, model: &[c64]) -> f64 {
-        let lines = self.in_band(passage);
-        let products = (0..lines).map(|k| passage.measured[k] * model[k].conj()).collect();
-        let (mut best, mut most) = (passage.search_s[0], f64::NEG_INFINITY);
-        for (i, correlation) in self.correlation(passage, products).into_iter().enumerate() {
-            if correlation > most {
-                (best, most) = (passage.search_s[0] + i as f64 * SEARCH_STEP_S, correlation);
-            }
-        }
-        self.refine_time(passage, model, best)
-    }
-
-    fn refine_time(&self, passage: &QuasiStaticPassage, model: &[c64], start: f64) -> f64 {
-        let lines = self.in_band(passage);
-        let mut t = start;
-        for _ in 0..4 {
-            let (mut slope, mut curvature) = (0.0, 0.0);
-            for ((hz, measured), modelled) in
-                self.frequency_hz.iter().zip(&passage.measured).zip(model).take(lines)
-            {
-                let w = std::f64::consts::TAU * hz;
-                let e = measured * modelled.conj() * unit(w * t);
-                slope -= w * e.im;
-                curvature -= w * w * e.re;
-            }
-            if curvature < 0.0 {
-                t -= (slope / curvature).clamp(-5e-3, 5e-3);
-            }
-        }
-        t
     }
 
     /// Stacked real and imaginary residuals over all passages, scaled so that their square sum is the misfit ratio squared.
@@ -464,16 +310,10 @@ fn prepare(
         speed_m_s: speed,
         static_force_n: force,
         search_s: search_s(recording, speed, pattern),
-        quiet_m2_s2: quiet_m2_s2(recording),
+        quiet_m2_s2: 0.5 * recording.quiet_density_m2_s3() * recording.duration_s(),
         measured,
         pattern: axles,
     }
-}
-
-/// Squared magnitude of a line of the acceleration where the track is quiet, (m/s)²: the noise is taken for white.
-fn quiet_m2_s2(recording: &Recording) -> f64 {
-    let [low, high] = Recording::NOISE_BAND_HZ;
-    0.5 * recording.quiet_rms_m_s2.powi(2) / (high - low) * recording.duration_s()
 }
 
 /// Where the first axle is looked for: the whole train with its approach lies inside the recording. The spacing of the lines repeats

@@ -58,15 +58,15 @@ impl Known<'_> {
         if !other.iter().any(|i| used.contains(i)) {
             return Ok(OneWay { used, described, other, found });
         }
-        let start = self.quasi_static_fit(&described, progress);
+        let start = self.start(&described, progress);
         let (used, found) = self.of_sound_passages(&described, start, progress)?;
         Ok(OneWay { used, described, other, found })
     }
 
     /// Whether each of some passages runs as described, where that is plain.
     fn directions(&self, some: &[usize], found: &Found, descriptions: &Descriptions) -> Vec<Option<bool>> {
-        let first_axle_s: Vec<f64> = some.iter().map(|i| found.quasi_static.first_axle_s[*i]).collect();
-        descriptions.directions(&self.heard(some), &first_axle_s, &found.quasi_static.start_of_evidence())
+        let first_axle_s: Vec<f64> = some.iter().map(|i| found.start.quasi_static.first_axle_s[*i]).collect();
+        descriptions.directions(&self.heard(some), &first_axle_s, &found.start.ballast())
     }
 }
 

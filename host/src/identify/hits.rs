@@ -48,19 +48,15 @@ impl Hit {
 
     /// Log-likelihood of a deflection where the train is so far behind its hit, relative to that of one that may be anywhere.
     fn log_evidence(&self, sinking: &Sinking, behind_m: f64) -> f64 {
-        let all = &sinking.log_likelihood;
-        let most = all.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-        let likelihood = |log: f64| (log - most).exp();
-        let anywhere = mean(&all.iter().map(|l| likelihood(*l)).collect::<Vec<_>>());
         let (mut near, mut weights) = (0.0, 0.0);
         for k in -10..=10 {
             let off = 0.3 * f64::from(k);
             let weight = (-0.5 * off * off).exp();
             let there = self.first_axle_s(behind_m + off * SCATTER_M).and_then(|time_s| sinking.at(time_s));
-            near += weight * there.map_or(0.0, likelihood);
+            near += weight * there.unwrap_or(0.0);
             weights += weight;
         }
-        ((1.0 - STRAY) * near / weights / anywhere + STRAY).ln()
+        ((1.0 - STRAY) * near / weights + STRAY).ln()
     }
 
     /// Way from the hit to where the first axle is taken to be at x = 0, metres.
@@ -86,24 +82,24 @@ pub fn together_m(hits: &[Hit], sinking: &[Sinking], direction: f64) -> f64 {
     rated.max_by(|(_, a), (_, b)| a.total_cmp(b)).map_or(0.0, |(behind_m, _)| behind_m)
 }
 
-/// How far behind their hits most trains are, metres.
+/// How far behind their hits most trains are, metres, those aside that were not found.
 pub fn usual_m(hits: &[Hit], first_axle_s: &[f64]) -> Option<f64> {
-    let behind_m: Vec<f64> =
-        hits.iter().zip(first_axle_s).filter_map(|(hit, time_s)| hit.behind_m(*time_s)).collect();
-    (!behind_m.is_empty()).then(|| quantile(&behind_m, 0.5))
+    let possible: Vec<f64> =
+        behind_m(hits, first_axle_s).into_iter().filter(|b| b.abs() <= FARTHEST_HIT_M).collect();
+    (!possible.is_empty()).then(|| quantile(&possible, 0.5))
+}
+
+/// Of every train with a hit.
+fn behind_m(hits: &[Hit], first_axle_s: &[f64]) -> Vec<f64> {
+    hits.iter().zip(first_axle_s).filter_map(|(hit, time_s)| hit.behind_m(*time_s)).collect()
 }
 
 /// Puts trains that lie far from where most are, relative to their hits, to where those are. Where most are not together nothing is moved:
 /// then it is the deflection that is wrong, that of a sensor upside down for instance, or the hits, and nobody can tell which.
 pub fn back_to_hits(hits: &[Hit], first_axle_s: &mut [f64]) {
-    let behind_m: Vec<f64> =
-        hits.iter().zip(&*first_axle_s).filter_map(|(hit, time_s)| hit.behind_m(*time_s)).collect();
-    let possible: Vec<f64> = behind_m.iter().copied().filter(|b| b.abs() <= FARTHEST_HIT_M).collect();
-    if possible.is_empty() {
-        return;
-    }
-    let usual_m = quantile(&possible, 0.5);
-    let together = behind_m.iter().filter(|b| (**b - usual_m).abs() <= TOGETHER_M).count();
+    let Some(usual_m) = usual_m(hits, first_axle_s) else { return };
+    let near = |b: &&f64| (**b - usual_m).abs() <= TOGETHER_M;
+    let together = behind_m(hits, first_axle_s).iter().filter(near).count();
     if 2 * together <= hits.len() {
         return;
     }
@@ -128,13 +124,13 @@ mod tests {
             let true_s = hit_s + behind_m / speed_m_s;
             let bump = |at_s: f64, t: f64, m: f64| (-0.5 * ((t - at_s) * speed_m_s / m).powi(2)).exp();
             let log_likelihood = (0..2000).map(|k| {
-                let t = 0.5 + k as f64 * Sinking::STEP_S;
+                let t = 0.5 + 1e-3 * f64::from(k);
                 // As high a maximum somewhere else, and not at the same place behind the hit.
                 let elsewhere_s = true_s + (1.5 + 0.7 * train as f64) / speed_m_s;
                 4.0 * bump(true_s, t, 0.4) + 4.5 * bump(elsewhere_s, t, 0.4)
             });
             let heard_s = if train == 2 { hit_s + 2.6 / speed_m_s } else { hit_s };
-            let sinking = Sinking { first_s: 0.5, log_likelihood: log_likelihood.collect() };
+            let sinking = Sinking::of(0.5, &log_likelihood.collect::<Vec<_>>());
             (Hit { time_s: Some(heard_s), speed_m_s }, sinking)
         };
         let (hits, sinking): (Vec<Hit>, Vec<Sinking>) = (0..6).map(noisy).unzip();

@@ -37,7 +37,7 @@ pub(super) struct Known<'a> {
 
 /// What some of the passages say of the site; times and misfits are those of these passages.
 pub(super) struct Found {
-    pub(super) quasi_static: QuasiStaticFit,
+    pub(super) start: Start,
     pub(super) calibration: Calibration,
     pub(super) ballast: EvidenceFit,
     pub(super) greens: GreensFunctions,
@@ -45,6 +45,20 @@ pub(super) struct Found {
     pub(super) classes: Vec<ForceClass>,
     pub(super) timings: Vec<Timing>,
     pub(super) misfit: Vec<f64>,
+}
+
+/// Where the calibration by evidence begins.
+pub(super) struct Start {
+    /// With the times that it begins with.
+    pub(super) quasi_static: QuasiStaticFit,
+    /// Noise hides the deflection: trains are at one place behind their hits, and of the ballast nothing is known.
+    pub(super) hidden: bool,
+}
+
+impl Start {
+    pub(super) fn ballast(&self) -> BallastParameters {
+        if self.hidden { BallastParameters::NOMINAL } else { self.quasi_static.start_of_evidence() }
+    }
 }
 
 impl Known<'_> {
@@ -66,20 +80,22 @@ impl Known<'_> {
     }
 
     /// Ballast and axle times on which the sleeper sinks as recorded in some passages.
-    pub(super) fn quasi_static_fit(&self, which: &[usize], progress: &dyn Progress) -> QuasiStaticFit {
+    pub(super) fn start(&self, which: &[usize], progress: &dyn Progress) -> Start {
         progress.begin("ballast, quasi-static", 1);
         let model = self.quasi_static(which);
-        let mut fit = model.fit(BallastParameters::NOMINAL);
+        let mut quasi_static = model.fit(BallastParameters::NOMINAL);
         // A sensor upside down is to be noticed, not explained.
-        if fit.is_doubtful() && model.rising(&BallastParameters::NOMINAL) < UPSIDE_DOWN {
+        let hidden =
+            model.is_hidden(&quasi_static) && model.rising(&BallastParameters::NOMINAL) < UPSIDE_DOWN;
+        if hidden {
             let sinking = model.sinking(&BallastParameters::NOMINAL);
             let behind_m = together_m(&self.hits_of(which), &sinking, self.problem.direction);
-            self.by_hits(which, behind_m, &mut fit.first_axle_s);
+            self.by_hits(which, behind_m, &mut quasi_static.first_axle_s);
         } else {
-            back_to_hits(&self.hits_of(which), &mut fit.first_axle_s);
+            back_to_hits(&self.hits_of(which), &mut quasi_static.first_axle_s);
         }
         progress.step();
-        fit
+        Start { quasi_static, hidden }
     }
 
     fn hits_of(&self, which: &[usize]) -> Vec<Hit> {
@@ -93,20 +109,20 @@ impl Known<'_> {
         }
     }
 
-    /// Identifies the site from some of its passages and their quasi-static fit.
+    /// Identifies the site from some of its passages and where they begin.
     pub(super) fn find(
         &self,
         which: &[usize],
-        quasi_static: QuasiStaticFit,
+        start: Start,
         progress: &dyn Progress,
     ) -> Result<Found, IdentifyError> {
-        let mut passages = self.passages(which, &quasi_static.first_axle_s);
-        let (calibration, ballast) = calibrate(self.problem, &quasi_static, &mut passages, progress)?;
+        let mut passages = self.passages(which, &start.quasi_static.first_axle_s);
+        let (calibration, ballast) = calibrate(self.problem, &start, &mut passages, progress)?;
         let EvidenceProblem { track, direction, pattern, .. } = self.problem;
         let (greens, nearby_greens) = calibrated_greens(&track.track, &ballast.parameters);
         let (classes, misfit) = forces_of_classes(&greens, *direction, pattern, &mut passages, progress)?;
         let timings = passages.iter().map(|p| p.timing).collect();
-        Ok(Found { quasi_static, calibration, ballast, greens, nearby_greens, classes, timings, misfit })
+        Ok(Found { start, calibration, ballast, greens, nearby_greens, classes, timings, misfit })
     }
 
     /// Where the model explains next to nothing, it may be the sign; what clips hard seems to rise as well.
@@ -133,7 +149,7 @@ impl Known<'_> {
         let mut first_axle_s = self.quasi_static(&others).align(&found.ballast.parameters);
         let of_used: Vec<f64> = found.timings.iter().map(|t| t.first_axle_s).collect();
         match usual_m(&self.hits_of(used), &of_used) {
-            Some(behind_m) if found.quasi_static.is_doubtful() => {
+            Some(behind_m) if found.start.hidden => {
                 self.by_hits(&others, behind_m, &mut first_axle_s);
             }
             _ => back_to_hits(&self.hits_of(&others), &mut first_axle_s),
@@ -152,7 +168,7 @@ impl Known<'_> {
         let timings: Vec<Timing> = passages.iter().map(|p| p.timing).collect();
         let merge = |of_used: &[f64], of_others: &[f64]| merged(used, of_used, &others, of_others);
         found.misfit = merge(&found.misfit, &misfit);
-        found.quasi_static.first_axle_s = merge(&found.quasi_static.first_axle_s, &first_axle_s);
+        found.start.quasi_static.first_axle_s = merge(&found.start.quasi_static.first_axle_s, &first_axle_s);
         found.timings = merged(used, &found.timings, &others, &timings);
         Ok(found)
     }
@@ -175,13 +191,13 @@ fn merged<T: Copy>(some: &[usize], of_some: &[T], others: &[usize], of_others: &
 
 fn calibrate(
     problem: &EvidenceProblem,
-    quasi_static: &QuasiStaticFit,
+    start: &Start,
     passages: &mut [SitePassage],
     progress: &dyn Progress,
 ) -> Result<(Calibration, EvidenceFit), IdentifyError> {
     progress.begin("ballast by evidence", 4);
-    let mut state = Calibration::starting(quasi_static.start_of_evidence(), problem.direction);
-    if quasi_static.is_doubtful() {
+    let mut state = Calibration::starting(start.ballast(), problem.direction);
+    if start.hidden {
         state.prior.noise_m_s2 = state.prior.noise_m_s2.max(sensor_noise_m_s2(passages));
     }
     let all: Vec<usize> = (0..passages.len()).collect();
@@ -206,8 +222,6 @@ fn calibrate(
 /// Noise of quiet track as the calibration samples it, in the median, m/s². Where it hides the deflection it is more than the prior begins
 /// with; what is more would be taken for something, and lead the ballast astray before the evidence has its say on the noise.
 fn sensor_noise_m_s2(passages: &[SitePassage]) -> f64 {
-    let [low_hz, high_hz] = Recording::NOISE_BAND_HZ;
-    let sampled = (0.5 * GreensSampling::low().rate_hz / (high_hz - low_hz)).sqrt();
-    let quiet: Vec<f64> = passages.iter().map(|p| p.recording.quiet_rms_m_s2).collect();
-    sampled * quantile(&quiet, 0.5)
+    let density: Vec<f64> = passages.iter().map(|p| p.recording.quiet_density_m2_s3()).collect();
+    (0.5 * GreensSampling::low().rate_hz * quantile(&density, 0.5)).sqrt()
 }

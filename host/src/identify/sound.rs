@@ -1,8 +1,7 @@
 //! Which passages a site is identified from: one with a spike, a gap or half a train in it spoils ballast and forces of all others.
 
 use super::IdentifyError;
-use super::known::{Found, Known};
-use crate::ballast::quasi_static::QuasiStaticFit;
+use super::known::{Found, Known, Start};
 use crate::progress::Progress;
 use crate::signal::quantile;
 
@@ -26,11 +25,11 @@ impl Known<'_> {
     pub(super) fn of_sound_passages(
         &self,
         some: &[usize],
-        quasi_static: QuasiStaticFit,
+        start: Start,
         progress: &dyn Progress,
     ) -> Result<(Vec<usize>, Found), IdentifyError> {
         let mut used = some.to_vec();
-        let mut found = self.find(&used, quasi_static, progress)?;
+        let mut found = self.find(&used, start, progress)?;
         for _ in 1..ROUNDS {
             found = self.with_the_others(&used, found)?;
             let mut stay = staying(&used, &found.misfit);
@@ -38,7 +37,7 @@ impl Known<'_> {
             if stay == used || stay.len() < LEAST_PASSAGES || 2 * stay.len() < some.len() {
                 return Ok((used, found));
             }
-            found = self.find(&stay, self.quasi_static_fit(&stay, progress), progress)?;
+            found = self.find(&stay, self.start(&stay, progress), progress)?;
             used = stay;
         }
         let found = self.with_the_others(&used, found)?;

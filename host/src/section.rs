@@ -51,6 +51,18 @@ impl BeamSection {
         }
     }
 
+    /// Section of an element of which a `share` is of `other`: bends and shears as much as the two in a row, and weighs as much.
+    pub fn in_a_row_with(&self, other: &Self, share: f64) -> Self {
+        let mean = |own: f64, other: f64| (1.0 - share) * own + share * other;
+        let in_series = |own: f64, other: f64| 1.0 / mean(1.0 / own, 1.0 / other);
+        Self {
+            bending_n_m2: in_series(self.bending_n_m2, other.bending_n_m2),
+            shear_n: in_series(self.shear_n, other.shear_n),
+            mass_kg_m: mean(self.mass_kg_m, other.mass_kg_m),
+            rotary_kg_m: mean(self.rotary_kg_m, other.rotary_kg_m),
+        }
+    }
+
     /// Rectangular sleeper of a site.
     pub fn sleeper(sleeper: &Sleeper) -> Self {
         let area = sleeper.width_m * sleeper.height_m;

@@ -138,7 +138,7 @@ impl TrackModel {
         let typical = supports.iter().map(|s| s.stiffness_n_m2).sum::<f64>() / sleepers as f64;
         let elements = track.node_x_m.len() - 1;
         let sections =
-            |side| (0..elements).map(|e| *track.element_section(side, e)).collect::<Vec<BeamSection>>();
+            |side| (0..elements).map(|e| track.element_section(side, e)).collect::<Vec<BeamSection>>();
         let sections = [sections(Side::Crossing), sections(Side::Stock)];
         let shapes = sections.each_ref().map(|s| {
             s.iter().map(|section| ElementShape::new(section, track.step_m)).collect::<Vec<ElementShape>>()

@@ -130,6 +130,22 @@ fn regress_two_trains_over_stiff_ballast_are_found_together() {
     assert!(Score::median(&score.waveform) < tolerance::WAVEFORM_OF_TWO_SLOW_TRAINS);
 }
 
+/// Sleepers stand 0.65 m apart, so that the crossing part ends 0.25 m from one and 0.15 m from another.
+#[test]
+fn regress_crossing_part_that_ends_between_sleepers_moves_no_train() {
+    let mut scenario = short(8);
+    let crossing = &mut scenario.crossing;
+    crossing.track.sleeper_spacing_m = 0.65;
+    crossing.pad.stiffness_n_m = 150e6;
+    crossing.vehicle.cars = 3;
+    scenario.simulation.speed_m_s = 35.0;
+    let ballast = &mut scenario.simulation.ballast;
+    (ballast.p1_n_m2, ballast.p2_n_m2) = (12e6, 40e6);
+    let score = scored(&scenario);
+    assert!(Score::median(&score.peak) < tolerance::PEAK_MEDIAN);
+    assert!(Score::median(&score.waveform) < tolerance::WAVEFORM_BESIDE_NODES);
+}
+
 /// Trains of two cars at 25 m/s, give or take little, on soft pads, seen by a sensor near the end of the sleeper.
 fn slow(passages: usize) -> Scenario {
     let mut scenario = short(passages);

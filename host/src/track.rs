@@ -499,6 +499,38 @@ mod tests {
     }
 
     #[test]
+    fn analytic_section_of_an_element_in_which_the_crossing_part_ends() {
+        let mut track = panel_of_length(SOFT, Mesh::default(), 9);
+        let sections = |track: &Track| -> Vec<BeamSection> {
+            (0..track.node_x_m.len() - 1).map(|e| track.element_section(Side::Crossing, e)).collect()
+        };
+        // At nodes, give or take rounding, every element is of one kind.
+        let of_one_kind = |s: &BeamSection| *s == track.plain || *s == track.crossing_rail;
+        assert!(sections(&track).iter().all(of_one_kind));
+        let inside = sections(&track).iter().filter(|s| **s == track.crossing_rail).count() as f64;
+        // As flexible and as heavy as before where the part is a third of an element shorter.
+        let whole = |of: &dyn Fn(&BeamSection) -> f64| sections(&track).iter().map(of).sum::<f64>();
+        let (flexible, heavy) = (whole(&|s| 1.0 / s.bending_n_m2), whole(&|s| s.mass_kg_m));
+        track.crossing_part_m[1] -= track.step_m / 3.0;
+        let (plain, stiff) = (track.plain, track.crossing_rail);
+        let whole = |of: &dyn Fn(&BeamSection) -> f64| sections(&track).iter().map(of).sum::<f64>();
+        let more = whole(&|s| 1.0 / s.bending_n_m2) - flexible;
+        assert!((more / ((1.0 / plain.bending_n_m2 - 1.0 / stiff.bending_n_m2) / 3.0) - 1.0).abs() < 1e-9);
+        let less = heavy - whole(&|s| s.mass_kg_m);
+        assert!((less / ((stiff.mass_kg_m - plain.mass_kg_m) / 3.0) - 1.0).abs() < 1e-9);
+        assert!(inside > 2.0);
+        // A part that is shorter than an element is there all the same.
+        let node = track.node_x_m[4];
+        track.crossing_part_m = [node + 0.1 * track.step_m, node + 0.6 * track.step_m];
+        assert!(
+            (track.element_section(Side::Crossing, 4).mass_kg_m * 2.0 - plain.mass_kg_m - stiff.mass_kg_m)
+                .abs()
+                < 1e-9
+        );
+        assert_eq!(track.element_section(Side::Stock, 4), plain);
+    }
+
+    #[test]
     fn property_halved_elements_are_those_of_a_finer_mesh() {
         let f = [20.0, 250.0, 700.0];
         let mut halved = panel_of_length(SOFT, Mesh { rail_step_m: 0.3, sleeper_step_m: 0.25 }, 9);

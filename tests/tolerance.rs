@@ -31,7 +31,7 @@ pub const PEAK_UNDER_NOISE: f64 = 0.05;
 pub const INSIDE_UNDER_NOISE: f64 = 0.8;
 /// Waveforms of two slow trains: 0.23 where they are not placed together.
 pub const WAVEFORM_OF_TWO_SLOW_TRAINS: f64 = 0.12;
-/// Waveforms where the crossing part ends within elements: some 0.05 where each of these was of one kind as a whole.
+/// Waveforms where the crossing part ends within elements: 0.02 here, 0.09 where each of these was of one kind as a whole.
 pub const WAVEFORM_BESIDE_NODES: f64 = 0.03;
 /// Curves and p1 over next to no support, relative: 5 and 4 % here, 7 and 6 % with another seed, as the shape p3, 0.1, is three standard
 /// deviations off its prior; a calibration that ends too early leaves 19 and 28 %.

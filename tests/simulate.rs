@@ -146,6 +146,23 @@ fn regress_crossing_part_that_ends_between_sleepers_moves_no_train() {
     assert!(Score::median(&score.waveform) < tolerance::WAVEFORM_BESIDE_NODES);
 }
 
+/// The rail is the same everywhere, so that nothing tells one sleeper from the next but where forces are expected.
+#[test]
+fn regress_panel_that_nothing_contradicts_is_as_described() {
+    let mut scenario = short(4);
+    let crossing = &mut scenario.crossing;
+    (crossing.track.sleeper_spacing_m, crossing.track.crossing_sleeper_x_m) = (0.7, 0.5);
+    let rail = &mut crossing.rail;
+    (rail.crossing_part_stiffness_factor, rail.crossing_part_mass_factor) = (1.0, 1.0);
+    (crossing.traffic_direction, crossing.pad.stiffness_n_m) = (TrafficDirection::Trailing, 80e6);
+    crossing.vehicle.cars = 3;
+    scenario.simulation.speed_m_s = 35.0;
+    scenario.simulation.geometry.transition_x_m = 0.1;
+    let simulated = simulate(&scenario, &Silent).unwrap();
+    let analysis = analyse(&simulated.site, &AnalyseOptions::default(), &Silent).unwrap();
+    assert_eq!(analysis.misdescription, None);
+}
+
 /// Trains of two cars at 25 m/s, give or take little, on soft pads, seen by a sensor near the end of the sleeper.
 fn slow(passages: usize) -> Scenario {
     let mut scenario = short(passages);

@@ -123,9 +123,7 @@ impl GreensFunctions {
         chain: &Chain,
     ) -> Self {
         let elements = track.node_x_m.len() - 1;
-        let phi = |side| {
-            (0..elements).map(|e| beam::shear_ratio(&track.element_section(side, e), track.step_m)).collect()
-        };
+        let phi = |side| (0..elements).map(|e| track.shear_ratio(side, e)).collect();
         let gain: Vec<c64> = receptance
             .frequency_hz
             .iter()

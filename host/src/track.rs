@@ -179,6 +179,11 @@ impl Track {
         }
     }
 
+    /// Ratio of bending to shear flexibility of element `e` of a rail.
+    pub fn shear_ratio(&self, side: Side, e: usize) -> f64 {
+        beam::shear_ratio(&self.element_section(side, e), self.step_m)
+    }
+
     /// Receptance between the sensor and all rail nodes, by reciprocity from one unit force at the sensor.
     /// `ballast_n_m2`: stiffness per sleeper.
     pub fn sensor_receptance(&self, frequency_hz: &[f64], ballast_n_m2: &[f64]) -> SensorReceptance {
@@ -289,14 +294,7 @@ impl Track {
         let mut known: Vec<(f64, CondensedSleeper)> = Vec::new();
         let (mut sensor_load, mut sensor_free) = ([ZERO; 2], ZERO);
         for (sleeper, stiffness) in ballast_n_m2.iter().enumerate().take(self.sleeper_x_m.len()) {
-            let condensed = match known.iter().find(|(k, _)| k == stiffness) {
-                Some((_, c)) => *c,
-                None => {
-                    let c = self.condense(omega, *stiffness);
-                    known.push((*stiffness, c));
-                    c
-                }
-            };
+            let condensed = once_per(&mut known, *stiffness, |k| self.condense(omega, *k));
             let node = self.seat_node(sleeper);
             for (i, row) in condensed.seat_stiffness.iter().enumerate() {
                 for (j, value) in row.iter().enumerate() {
@@ -327,15 +325,7 @@ impl Track {
         let mut upper: Vec<Block<4>> = vec![[[ZERO; 4]; 4]; n.saturating_sub(1)];
         for e in 0..n.saturating_sub(1) {
             for (rail, side) in [(0, Side::Crossing), (1, Side::Stock)] {
-                let section = self.element_section(side, e);
-                let d = match known.iter().find(|(s, _)| *s == section) {
-                    Some((_, d)) => *d,
-                    None => {
-                        let d = dynamic(&section);
-                        known.push((section, d));
-                        d
-                    }
-                };
+                let d = once_per(&mut known, self.element_section(side, e), dynamic);
                 for i in 0..2 {
                     for j in 0..2 {
                         diagonal[e][2 * rail + i][2 * rail + j] += d[i][j];
@@ -361,6 +351,16 @@ impl Track {
         let sensor_free = c[2][2] - c[2][0] * sensor_load[0] - c[2][1] * sensor_load[1];
         CondensedSleeper { seat_stiffness, sensor_load, sensor_free }
     }
+}
+
+/// What `make` makes of a key, once for each that is equal: a track has a handful of kinds.
+fn once_per<K: PartialEq, V: Copy>(known: &mut Vec<(K, V)>, key: K, make: impl FnOnce(&K) -> V) -> V {
+    if let Some((_, value)) = known.iter().find(|(k, _)| *k == key) {
+        return *value;
+    }
+    let value = make(&key);
+    known.push((key, value));
+    value
 }
 
 /// Share of an element below which a section in it is not worth an element of its own.

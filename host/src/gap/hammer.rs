@@ -130,7 +130,7 @@ pub fn modelled(world: &World, frequency_hz: &[f64], x_m: f64) -> Result<Vec<c64
         return Err(GapError::HammerOutside { x_m, ends_m });
     }
     let e = (position as usize).min(last - 1);
-    let phi = beam::shear_ratio(&track.element_section(Side::Crossing, e), track.step_m);
+    let phi = track.shear_ratio(Side::Crossing, e);
     let n = beam::shape(phi, track.step_m, position - e as f64);
     let sensor = &world.sensor;
     let nodal = track.sensor_receptance(frequency_hz, &ballast).crossing;

@@ -28,7 +28,7 @@ impl Track {
             let element = (position as usize).min(last - 1);
             let shape = [(Side::Crossing, self.load_factor[0]), (Side::Stock, self.load_factor[1])];
             let shape = shape.map(|(side, factor)| {
-                let phi = beam::shear_ratio(&self.element_section(side, element), self.step_m);
+                let phi = self.shear_ratio(side, element);
                 beam::shape(phi, self.step_m, position - element as f64).map(|n| factor * n)
             });
             Point { element, shape }

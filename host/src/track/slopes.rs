@@ -8,7 +8,7 @@ use rayon::prelude::*;
 
 use super::block::ZERO;
 use super::sleeper::Compliance;
-use super::{CondensedSleeper, SensorReceptance, Track};
+use super::{CondensedSleeper, SensorReceptance, Track, once_per};
 
 /// Derivative of a condensed sleeper by its ballast stiffness.
 #[derive(Clone, Copy)]
@@ -73,14 +73,7 @@ impl Track {
         ballast_n_m2
             .iter()
             .take(self.sleeper_x_m.len())
-            .map(|stiffness| match known.iter().find(|(k, _)| k == stiffness) {
-                Some((_, slope)) => *slope,
-                None => {
-                    let slope = self.sleeper_slope(omega, *stiffness);
-                    known.push((*stiffness, slope));
-                    slope
-                }
-            })
+            .map(|stiffness| once_per(&mut known, *stiffness, |k| self.sleeper_slope(omega, *k)))
             .collect()
     }
 

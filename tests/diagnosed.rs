@@ -5,7 +5,7 @@ use std::path::Path;
 use cpcm::gap::GapError;
 use cpcm::gap::diagnosis::{DiagnoseOptions, Diagnosis, diagnose};
 use cpcm::gap::effects::names;
-use cpcm::gap::trial::scenario_of;
+use cpcm::gap::trial::{Panels, scenario_of};
 use cpcm::gap::verdict::Verdict;
 use cpcm::progress::Silent;
 use cpcm::recording::{Site, read_site};
@@ -68,7 +68,7 @@ pub fn assert_sound(name: &str) {
 /// Scenario of a trial's site without the effects that are drawn there, which must be `drawn`: tests put in their own.
 pub fn trial(seed: u64, index: u64, drawn: &[&str]) -> Scenario {
     let work = tempfile::tempdir().unwrap();
-    let (scenario, names) = scenario_of(seed, index, work.path()).unwrap();
+    let (scenario, names) = scenario_of(Panels::Nominal, seed, index, work.path()).unwrap();
     assert_eq!(names, drawn, "trial {index} of seed {seed}");
     scenario
 }

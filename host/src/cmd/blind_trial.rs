@@ -11,7 +11,7 @@ use clap::Args;
 
 use super::output::{print, print_json};
 use super::progress::Bar;
-use crate::gap::trial::{Question, Score, bins, draw, score};
+use crate::gap::trial::{Panels, Question, Score, bins, draw, score};
 use crate::progress::Progress;
 use crate::recording::files::{create_dir, read_bytes, write_atomic};
 use crate::recording::{Format, write_site};
@@ -31,10 +31,13 @@ pub(super) struct BlindTrialArgs {
     /// Number of trials
     #[arg(long, default_value_t = 20, value_parser = clap::value_parser!(u64).range(1..=100_000))]
     trials: u64,
+    /// Panels that the trials are of
+    #[arg(long, value_enum, default_value_t)]
+    panels: Panels,
     /// Run these trials only, by number: to look at what went wrong
     #[arg(long, value_name = "N", value_delimiter = ',', conflicts_with_all = ["trials", "resume"])]
     only: Vec<u64>,
-    /// Take over the trials of this seed and build that trials.json in the output directory holds
+    /// Take over the trials of these panels, this seed and this build that trials.json in the output directory holds
     #[arg(long)]
     resume: bool,
     /// Directory for the scores; created when missing
@@ -101,8 +104,8 @@ impl BlindTrialArgs {
         let work = || -> anyhow::Result<()> {
             while let Some(&index) = left.get(next.fetch_add(1, Ordering::Relaxed)) {
                 let kept = self.keep.then(|| self.out.join(format!("trial-{index}")));
-                let found =
-                    one(self.seed, index, kept.as_deref()).with_context(|| format!("trial {index}"))?;
+                let found = one(self.panels, (self.seed, index), kept.as_deref())
+                    .with_context(|| format!("trial {index}"))?;
                 let mut done = done.lock().unwrap_or_else(PoisonError::into_inner);
                 done.insert(index, found);
                 bar.step();
@@ -117,7 +120,7 @@ impl BlindTrialArgs {
         Ok(done.into_inner().unwrap_or_else(PoisonError::into_inner).into_values().collect())
     }
 
-    /// Trials of an earlier run with this seed and build.
+    /// Trials of an earlier run with these panels, this seed and this build.
     fn known(&self, version: &str) -> anyhow::Result<BTreeMap<u64, Score>> {
         let path = self.scores();
         if !path.exists() {
@@ -126,13 +129,16 @@ impl BlindTrialArgs {
         let records: Vec<Record> = serde_json::from_slice(&read_bytes(&path)?).with_context(|| {
             format!("{} is not from this version of blind-trial; choose another --out", path.display())
         })?;
-        let same = |r: &Record| r.seed == self.seed && r.version == version && r.trial < self.trials;
+        let same = |r: &Record| {
+            r.panels == self.panels && r.seed == self.seed && r.version == version && r.trial < self.trials
+        };
         Ok(records.into_iter().filter(same).map(|r| (r.trial, r.score)).collect())
     }
 
     fn write(&self, done: &BTreeMap<u64, Score>, version: &str) -> anyhow::Result<()> {
         let scores: Vec<Score> = done.values().cloned().collect();
         let record = |(trial, score): (&u64, &Score)| Record {
+            panels: self.panels,
             seed: self.seed,
             trial: *trial,
             version: version.to_string(),
@@ -152,6 +158,7 @@ impl BlindTrialArgs {
 /// A trial in trials.json.
 #[derive(serde::Serialize, serde::Deserialize)]
 struct Record {
+    panels: Panels,
     seed: u64,
     trial: u64,
     version: String,
@@ -167,9 +174,9 @@ fn version() -> anyhow::Result<String> {
 }
 
 /// Draws, diagnoses and scores one trial.
-fn one(seed: u64, index: u64, kept: Option<&Path>) -> anyhow::Result<Score> {
+fn one(panels: Panels, (seed, index): (u64, u64), kept: Option<&Path>) -> anyhow::Result<Score> {
     let work = tempfile::tempdir().context("no temporary directory")?;
-    let trial = draw(seed, index, work.path())?;
+    let trial = draw(panels, seed, index, work.path())?;
     let place = kept.unwrap_or(work.path());
     let (site, out) = (place.join("site"), place.join("diagnosis"));
     write_site(&site, &trial.site, Format::Parquet)?;

@@ -1,6 +1,7 @@
 //! Withheld check: sites with a drawn effect from a simulation that differs from the diagnosis model (finer mesh, shorter
 //! step, damped integrator, whole trains over the whole track), and the score of a diagnosis that saw only the site.
 
+mod panel;
 mod score;
 mod strength;
 
@@ -11,6 +12,7 @@ use crate::progress::Silent;
 use crate::recording::files::write_atomic;
 use crate::recording::{Design, Site, TrafficDirection};
 use crate::scenario::{Scenario, ScenarioError, read_scenario, simulate};
+pub use panel::Panels;
 pub use score::{Bin, Score, bins, main_parameter, score};
 use strength::{DRAWN, Drawn, Plain, is_told};
 
@@ -65,16 +67,17 @@ pub enum TrialError {
 
 /// Passages of a trial's site.
 const PASSAGES: usize = 16;
-/// Streams of random numbers of one seed: for sites, for effects, and for what takes the place of one in a pair.
+/// Streams of random numbers of one seed: for sites, for effects, for what takes the place of one in a pair, and for panels.
 const SITE_STREAMS: u64 = 1000;
 const EFFECT_STREAMS: u64 = 1_000_000;
 const PAIR_STREAMS: u64 = 1_000_000_000;
+const PANEL_STREAMS: u64 = 2_000_000_000;
 
 const NOMINAL: &str = include_str!("trial_site.toml");
 
 /// Draws and simulates trial `index` of `seed`; `work` holds a file while the nominal site is read.
-pub fn draw(seed: u64, index: u64, work: &Path) -> Result<Trial, TrialError> {
-    let (mut scenario, names) = scenario_of(seed, index, work)?;
+pub fn draw(panels: Panels, seed: u64, index: u64, work: &Path) -> Result<Trial, TrialError> {
+    let (mut scenario, names) = scenario_of(panels, seed, index, work)?;
     let question = asked(index);
     let mut answer =
         Answer { question, effects: Vec::new(), parameters: Vec::new(), strength: 0.0, alone: Vec::new() };
@@ -145,9 +148,17 @@ fn asked(index: u64) -> Question {
 }
 
 /// The scenario of a trial without its effects, and the names that are drawn for it.
-pub fn scenario_of(seed: u64, index: u64, work: &Path) -> Result<(Scenario, Vec<&'static str>), TrialError> {
+pub fn scenario_of(
+    panels: Panels,
+    seed: u64,
+    index: u64,
+    work: &Path,
+) -> Result<(Scenario, Vec<&'static str>), TrialError> {
     let mut random = Random::new(seed, SITE_STREAMS + index);
     let mut scenario = scenario(&mut random, work)?;
+    if panels == Panels::Any {
+        panel::draw(&mut scenario, &mut Random::new(seed, PANEL_STREAMS + index));
+    }
     scenario.simulation.seed = seed.wrapping_mul(100_003).wrapping_add(index);
     let count = match asked(index) {
         Question::Nothing => 0,
@@ -188,4 +199,40 @@ fn scenario(random: &mut Random, work: &Path) -> Result<Scenario, TrialError> {
     sim.solver.sleeper_step_m = 0.2;
     sim.solver.sleeper_modes = 6;
     Ok(s)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::recording::{Format, read_site, write_site};
+
+    fn of(panels: Panels, index: u64) -> (Scenario, Vec<&'static str>) {
+        let work = tempfile::tempdir().unwrap();
+        scenario_of(panels, 5, index, work.path()).unwrap()
+    }
+
+    #[test]
+    fn property_any_panel_makes_a_site_that_is_read_again() {
+        for index in 0..8 {
+            let (mut scenario, _) = of(Panels::Any, index);
+            scenario.simulation.passages = 1;
+            let site = simulate(&scenario, &Silent).unwrap().site;
+            let dir = tempfile::tempdir().unwrap();
+            write_site(dir.path(), &site, Format::Parquet).unwrap();
+            assert_eq!(read_site(dir.path()).unwrap().crossing, scenario.crossing, "trial {index}");
+        }
+    }
+
+    /// What acts on a site is drawn apart from the panel.
+    #[test]
+    fn property_panels_differ_and_what_acts_on_them_stays() {
+        let (nominal, acting) = of(Panels::Nominal, 1);
+        let (any, acting_on_any) = of(Panels::Any, 1);
+        let (other, _) = of(Panels::Any, 2);
+        assert_eq!(acting, acting_on_any);
+        assert_eq!(nominal.simulation.ballast, any.simulation.ballast);
+        assert_eq!(nominal.crossing.track, of(Panels::Nominal, 2).0.crossing.track);
+        assert_ne!(any.crossing.track, other.crossing.track);
+        assert_eq!(any.crossing, of(Panels::Any, 1).0.crossing);
+    }
 }

@@ -232,6 +232,31 @@ fn soundly_simulated(speed_m_s: f64, passages: usize) -> Site {
     simulate(&scenario, &Silent).unwrap().site
 }
 
+/// Where the path is not known, four of eight trains over a transition half a metre behind the nose seemed to run the other way, whose
+/// transition would be nearer to it, and nothing was told of the site.
+#[test]
+fn regress_trains_over_a_late_transition_run_as_described() {
+    let example = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/examples/site.toml");
+    let mut scenario = read_scenario(&example).unwrap();
+    let crossing = &mut scenario.crossing;
+    crossing.track.sleeper_spacing_m = 0.62;
+    (crossing.rail.crossing_part_x0_m, crossing.rail.crossing_part_x1_m) = (-0.8, 1.9);
+    crossing.rail.crossing_part_stiffness_factor = 4.0;
+    crossing.rail.crossing_part_mass_factor = 2.0;
+    crossing.pad.stiffness_n_m = 80e6;
+    crossing.sleeper.length_m = 4.2;
+    crossing.sleeper.width_m = 0.25;
+    (crossing.sleeper.seat_stock_y_m, crossing.sleeper.seat_crossing_y_m) = (0.45, 1.95);
+    crossing.sensor.noise_rms_m_s2 = 0.05;
+    let simulation = &mut scenario.simulation;
+    (simulation.seed, simulation.passages, simulation.speed_m_s) = (205, 8, 25.0);
+    (simulation.ballast.p1_n_m2, simulation.ballast.p2_n_m2) = (60e6, 40e6);
+    (simulation.geometry.dip_m, simulation.geometry.transition_x_m) = (2e-3, 0.5);
+    let found = quick(&simulate(&scenario, &Silent).unwrap().site).unwrap();
+    assert!(!says(&found, "run trailing"), "{:?}", found.remarks);
+    assert_eq!(found.verdict, Verdict::NoGap, "{:?}", found.remarks);
+}
+
 /// Waves of 250 Hz are shorter than two splines of the path where trains run at 28 m/s; hollow wheels were named.
 #[test]
 fn regress_slower_trains_have_no_gap() {

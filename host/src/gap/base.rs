@@ -461,6 +461,18 @@ fn align_one(world: &World, o: &mut Observed, window: (f64, f64), reaches_m: &[f
     Ok(())
 }
 
+/// Part of a passage's squares that a world's prediction misses where it fits best. In the world trains may run the other way than in the
+/// one that the passage was read for.
+pub fn missed(world: &World, o: &Observed) -> Result<f64, GapError> {
+    let window = window_of(&world.crossing);
+    let mut o = o.clone();
+    o.cut(window);
+    align_one(world, &mut o, window, &[ALIGN_M, 0.2 * ALIGN_M])?;
+    let response = super::forward::Simulator::new(world, o.axle_load_kg)?.response(o.speed_m_s)?;
+    let whole = crate::signal::dot(&o.mean, &o.mean).max(f64::MIN_POSITIVE);
+    Ok(o.misfit(&response, world.sensor.gain_at(o.temperature_c), 0.0) / whole)
+}
+
 /// Factors of the covariances of the mean windows.
 fn factors(
     observed: &[Observed],

@@ -297,7 +297,7 @@ fn diagnose_trains(
         );
         searched = false;
     }
-    searched &= session.well_described(site) && session.trustworthy(site);
+    searched &= session.well_described(site)? && session.trustworthy(site);
     if let Some(left_out) = &session.left_out {
         let mut out = diagnose_without(left_out, site, options, progress)?;
         out.seconds = clock.elapsed().as_secs_f64();

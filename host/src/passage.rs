@@ -29,7 +29,7 @@ mod vectors;
 
 pub use error::SimulationError;
 pub use model::{RailPoint, SLEEPER_MODES, TrackModel};
-pub use run::{ContactTrace, Journey, PassageRecord, Start, Underway, driven, halt, resume, run};
+pub use run::{ContactTrace, Journey, LEAD_IN_M, PassageRecord, Start, Underway, driven, halt, resume, run};
 pub use stepper::{Stepper, TimeStep};
 pub use support::{Support, SupportLaw};
 pub use surface::{OutOfRoundness, Profile, RunningSurface, WheelFlat};

@@ -8,7 +8,7 @@ use super::data::{Observed, window_m};
 use super::effect::Effect;
 use super::envelopes::ahead_m;
 use super::fit::{Fit, FitOptions, Frame, Recall, State, fit, settled, values};
-use super::forward::Detail;
+use super::forward::{Detail, sleepers_on};
 use super::linear::{BogieResponses, Linear};
 use super::splines::{PathSplines, matern};
 use super::variation::{OwnIrregularity, Shapes, Variation, estimate, scatter};
@@ -184,6 +184,7 @@ pub fn nominal_world(site: &Site, ballast: BallastParameters) -> Result<World, G
             stock_dip: None,
         },
         sensor: SensorModel::default(),
+        sleepers: sleepers_on(&site.crossing, &ballast),
     })
 }
 

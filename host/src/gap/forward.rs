@@ -8,13 +8,15 @@ use std::sync::Arc;
 
 use super::clipping::{Spread, clipped_mean};
 use super::world::World;
+use crate::ballast::BallastParameters;
 use crate::passage::contact::ContactLaw;
 use crate::passage::surface::GRID_M;
 use crate::passage::{
-    Bogie, Journey, OutOfRoundness, PassageRecord, Profile, RunningSurface, SLEEPER_MODES, SimulationError,
-    Start, Stepper, Support, SupportLaw, TimeStep, TrackModel, Train, Underway, VehicleUnit, Wheel,
-    WheelFlat, driven, halt, resume, run,
+    Bogie, Journey, LEAD_IN_M, OutOfRoundness, PassageRecord, Profile, RunningSurface, SLEEPER_MODES,
+    SimulationError, Start, Stepper, Support, SupportLaw, TimeStep, TrackModel, Train, Underway, VehicleUnit,
+    Wheel, WheelFlat, driven, halt, resume, run,
 };
+use crate::recording::Crossing;
 use crate::signal::{AntiAlias, irfft, rfft, rfft_frequencies_hz, taper};
 use crate::track::{Mesh, Side, Track};
 use crate::vehicle::static_wheel_force_n;
@@ -22,16 +24,22 @@ use crate::vehicle::static_wheel_force_n;
 /// Band of the comparison: gain 1 up to the first, 0 from the second frequency, Hz.
 pub const BAND_HZ: [f64; 2] = [250.0, 300.0];
 /// Step of the simulation, s: the average-acceleration rule is 0.6 % off in frequency at 250 Hz, 0.2 % at 150 Hz. With it and
-/// [`SLEEPERS`] the mean window of wheels that are all alike is missed by 0.31 %, with three quarters of the step by 0.29 %.
+/// [`REACH_M`] the mean window of wheels that are all alike is missed by 0.31 %, with three quarters of the step by 0.29 %.
 const DT_S: f64 = 1.0 / 6000.0;
 /// Step where valleys are only looked for, s: 1.3 % off in frequency at 250 Hz, less than what a model lacks there.
 const SCOUTING_DT_S: f64 = 1.0 / 4000.0;
 /// Both where the transducer clips: that is before the recorder's low-pass, so what lies above the band counts as well.
 const CLIPPED_DT_S: f64 = 0.8e-4;
 const CLIPPED_SCOUTING_DT_S: f64 = 1.6e-4;
-/// Sleepers simulated on either side of the crossing sleeper: 6.6 m. With 13 or 16 the mean window is missed by as much, and
-/// 23 sleepers fill the lanes of the simulation.
-const SLEEPERS: usize = 11;
+/// Track simulated on either side of the crossing sleeper, metres, at least: 11 sleepers 0.6 m apart. With 13 or 16 the mean window is
+/// missed by as much, and 23 sleepers fill the lanes of the simulation.
+const REACH_M: f64 = 6.6;
+/// Where the track has taken a wheel over, the sensor is at least this many times the length over which the rail spreads a load away, so
+/// that it sinks as under a wheel that was on the track all along. With 3.9 times, on ballast of 12 MN/m², the sleeper was missed by 2 to 5 %
+/// of its displacement; with 4.5 times by what differs from bogie to bogie.
+const SPREADS: f64 = 4.5;
+/// Part of a sleeper that is too much to add another, for the last digits of spacings.
+const WHOLE: f64 = 1e-6;
 
 /// How closely a simulation is asked for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -66,7 +74,7 @@ impl Simulator {
 
     /// The same in a given detail.
     pub fn in_detail(world: &World, axle_load_kg: f64, detail: Detail) -> Result<Self, SimulationError> {
-        let crossing = shortened(&world.crossing);
+        let crossing = shortened(&world.crossing, world.sleepers);
         let track = Track::of_crossing(&crossing, Mesh::default());
         let model = TrackModel::new(&track, supports(world, &track), SLEEPER_MODES)?;
         let dt_s = match (world.sensor.range_m_s2, detail) {
@@ -332,11 +340,21 @@ impl Response {
     }
 }
 
+/// Sleepers to simulate on either side of the sensor's, on about this ballast. The rail spreads a load over (4 E I / k)^¼, with k the
+/// stiffness of the ballast under half of every sleeper, per length of rail (Winkler).
+pub fn sleepers_on(crossing: &Crossing, ballast: &BallastParameters) -> usize {
+    let (rail, spacing_m) = (&crossing.rail, crossing.track.sleeper_spacing_m);
+    let support_n_m2 = 0.5 * ballast.p1_n_m2 * crossing.sleeper.length_m / spacing_m;
+    let spread_m = (4.0 * rail.youngs_modulus_pa * rail.second_moment_m4 / support_n_m2).powf(0.25);
+    let reach_m = (LEAD_IN_M + SPREADS * spread_m).max(REACH_M);
+    (reach_m / spacing_m - WHOLE).ceil() as usize
+}
+
 /// The same crossing with fewer sleepers around it.
-fn shortened(crossing: &crate::recording::Crossing) -> crate::recording::Crossing {
+fn shortened(crossing: &Crossing, sleepers: usize) -> Crossing {
     let mut short = crossing.clone();
     let (index, n) = (crossing.track.crossing_sleeper_index, crossing.track.n_sleepers);
-    let (before, after) = (index.min(SLEEPERS), (n - 1 - index).min(SLEEPERS));
+    let (before, after) = (index.min(sleepers), (n - 1 - index).min(sleepers));
     short.track.n_sleepers = before + 1 + after;
     short.track.crossing_sleeper_index = before;
     short.sensor.sleeper_index = before;
@@ -381,4 +399,22 @@ fn train(world: &World, axle_load_kg: f64) -> Result<Train, SimulationError> {
         wheels: vec![wheel(0, 0), wheel(0, 1), wheel(1, 0), wheel(1, 1)],
         wheel_radius_m: vehicle.wheel_radius_m,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::recording::read_site;
+
+    /// E I = 6.38 MN m²; 12 MN/m² under half of 3.5 m every 0.6 m are 35 MN/m², which spread a load over 0.924 m: 3 m + 4.5 · 0.924 m is
+    /// within the twelfth sleeper. On 30 MN/m² 6.6 m are enough, which are eleven.
+    #[test]
+    fn analytic_soft_ballast_wants_more_sleepers() {
+        let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/data/field/reference-1");
+        let crossing = read_site(&root).unwrap().crossing;
+        let on = |p1_n_m2: f64| {
+            sleepers_on(&crossing, &BallastParameters { p1_n_m2, ..BallastParameters::NOMINAL })
+        };
+        assert_eq!([12e6, 30e6].map(on), [12, 11]);
+    }
 }

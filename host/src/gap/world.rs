@@ -27,6 +27,8 @@ pub struct World {
     pub path: Path,
     /// Recorder.
     pub sensor: SensorModel,
+    /// Sleepers simulated on either side of the sensor's.
+    pub sleepers: usize,
 }
 
 /// Departures from the linear three-parameter ballast.

@@ -20,7 +20,7 @@ const FOREIGN_SCAN: (f64, f64, f64) = (0.7, 0.3, 0.5);
 
 /// A train runs as described, whatever its direction seems to be where the path is not known, when over the scan that leaves at most this
 /// part of the squares that running the other way leaves. Trains that do leave a sixth and less, those of four recorded sites whose
-/// direction is turned round 1.3 times and more.
+/// direction is turned round in crossing.toml 1.3 times and more.
 const AS_DESCRIBED: f64 = 0.5;
 
 /// What all wheels share must fall below this part by the effects found, for a scan that another path than its own replaces well
@@ -117,53 +117,57 @@ impl Session<'_> {
         let crossing = &site.crossing;
         let pattern = AxlePattern::of_vehicle(&crossing.vehicle);
         let force_n = |o: &Observed| static_wheel_force_n(o.axle_load_kg, crossing.vehicle.gravity_m_s2);
-        let observed = &self.base.frame.observed;
-        let trains: Vec<Heard> = observed.iter().map(|o| (&o.recording, o.speed_m_s, force_n(o))).collect();
+        let trains: Vec<Heard> =
+            self.base.frame.observed.iter().map(|o| (&o.recording, o.speed_m_s, force_n(o))).collect();
         let descriptions = Descriptions::new(crossing, &pattern);
         let quasi_static = descriptions.quasi_static(&trains);
         let rough = quasi_static.start_of_evidence();
         let suspicion =
             descriptions.suspicion(&trains, &rough).filter(|s| descriptions.confirmed(*s, &trains));
-        let wrong = match suspicion {
-            Some(Misdescription::Direction(_)) if self.most_run_as_described(site)? => None,
-            other => other,
-        };
-        let Some(wrong) = wrong else {
-            let mut directions = descriptions.directions(&trains, &quasi_static.first_axle_s, &rough);
-            for (o, as_described) in observed.iter().zip(&mut directions) {
-                if *as_described == Some(false) && self.runs_as_described(site, o)? {
-                    *as_described = Some(true);
-                }
+        if let Some(wrong) = self.left_by_the_scan(suspicion, site)? {
+            self.follows_from(format!("{wrong}; no effect is looked for, correct it and diagnose again"));
+            return Ok(false);
+        }
+        let mut directions = descriptions.directions(&trains, &quasi_static.first_axle_s, &rough);
+        for (o, as_described) in self.base.frame.observed.iter().zip(&mut directions) {
+            if *as_described == Some(false) && self.runs_as_described(o, site)? {
+                *as_described = Some(true);
             }
-            return Ok(self.of_one_direction(&directions, crossing.traffic_direction));
-        };
-        self.follows_from(format!("{wrong}; no effect is looked for, correct it and diagnose again"));
-        Ok(false)
+        }
+        Ok(self.of_one_direction(&directions, crossing.traffic_direction))
     }
 
-    /// Whether the scan shows of most passages that trains run as described.
-    fn most_run_as_described(&self, site: &Site) -> Result<bool, GapError> {
+    /// What is wrong with the description, unless it is the direction and the scan shows of most passages that trains run as described.
+    fn left_by_the_scan(
+        &self,
+        suspicion: Option<Misdescription>,
+        site: &Site,
+    ) -> Result<Option<Misdescription>, GapError> {
+        if !matches!(suspicion, Some(Misdescription::Direction(_))) {
+            return Ok(suspicion);
+        }
         let asked = self.search.iter().map(|i| &self.base.frame.observed[*i]);
-        let answers = asked.map(|o| self.runs_as_described(site, o)).collect::<Result<Vec<_>, _>>()?;
-        Ok(2 * answers.iter().filter(|as_described| **as_described).count() > answers.len())
+        let answers = asked.map(|o| self.runs_as_described(o, site)).collect::<Result<Vec<bool>, _>>()?;
+        let as_described = answers.iter().filter(|a| **a).count();
+        Ok(suspicion.filter(|_| 2 * as_described <= answers.len()))
     }
 
     /// Whether the scan shows that a train runs as described. Without one its direction is only where the forces lie on one side of the
     /// sensor, and a transition far from where they usually are looks like one that is run over from the other side.
-    fn runs_as_described(&self, site: &Site, o: &Observed) -> Result<bool, GapError> {
+    fn runs_as_described(&self, o: &Observed, site: &Site) -> Result<bool, GapError> {
         if site.scan.is_none() {
             return Ok(false);
         }
-        let mut world = self.base.fit.state.world(&self.base.frame, &[]);
+        let frame = &self.base.frame;
+        let mut world = self.base.fit.state.world(frame, &[]);
         // What the fit has added to the scan makes up for the direction.
-        world.path.deviation = self.base.frame.base.path.deviation.clone();
+        world.path.deviation = frame.base.path.deviation.clone();
         let described = missed(&world, o)?;
-        let mut reversed = world;
-        let direction = &mut reversed.crossing.traffic_direction;
+        let direction = &mut world.crossing.traffic_direction;
         // The sleeper sinks when the wheel is over the sensor: before or after x = 0, by the direction.
         let later_s = 2.0 * direction.sign() * site.crossing.sensor_x_m() / o.speed_m_s;
         *direction = direction.reversed();
-        let other_way = missed(&reversed, &Observed { first_axle_s: o.first_axle_s + later_s, ..o.clone() })?;
+        let other_way = missed(&world, &Observed { first_axle_s: o.first_axle_s + later_s, ..o.clone() })?;
         Ok(described <= AS_DESCRIBED * other_way)
     }
 

@@ -14,7 +14,7 @@ use cpcm::gap::included::read_effects;
 use cpcm::gap::receptance::read_receptance;
 use cpcm::gap::results::{diagnosis_json, write_diagnosis};
 use cpcm::gap::split::split;
-use cpcm::gap::trial::draw;
+use cpcm::gap::trial::{Panels, draw};
 use cpcm::gap::verdict::Verdict;
 use cpcm::progress::Silent;
 use cpcm::recording::{Format, Site, read_site, write_site};
@@ -217,7 +217,7 @@ fn property_alike_wheels_leave_next_to_nothing() {
 #[test]
 fn property_a_trial_hands_over_the_site_only() {
     let work = tempfile::tempdir().unwrap();
-    let trial = draw(5, 7, work.path()).unwrap();
+    let trial = draw(Panels::Nominal, 5, 7, work.path()).unwrap();
     let effects = trial.answer.effects;
     assert_eq!(effects.len(), 2);
     let place = work.path().join("site");

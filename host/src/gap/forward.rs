@@ -35,9 +35,10 @@ const CLIPPED_SCOUTING_DT_S: f64 = 1.6e-4;
 /// missed by as much, and 23 sleepers fill the lanes of the simulation.
 const REACH_M: f64 = 6.6;
 /// Where the track has taken a wheel over, the sensor is at least this many times the length over which the rail spreads a load away, so
-/// that it sinks as under a wheel that was on the track all along. With 3.9 times, on ballast of 12 MN/m², the sleeper was missed by 2 to 5 %
-/// of its displacement; with 4.5 times by what differs from bogie to bogie.
-const SPREADS: f64 = 4.5;
+/// that it sinks as under a wheel that was on the track all along. With 4.1 times, on 12 MN/m² where 14 were found at first, the sleeper was
+/// missed by 2 % of its displacement, with 4.7 times by what differs from bogie to bogie. Voids make 30 MN/m² look like 20, which is 4.4
+/// times with 11 sleepers: twelve of them take twice as long there, and nothing is gained.
+const SPREADS: f64 = 4.2;
 /// Part of a sleeper that is too much to add another, for the last digits of spacings.
 const WHOLE: f64 = 1e-6;
 
@@ -406,7 +407,7 @@ mod tests {
     use super::*;
     use crate::recording::read_site;
 
-    /// E I = 6.38 MN m²; 12 MN/m² under half of 3.5 m every 0.6 m are 35 MN/m², which spread a load over 0.924 m: 3 m + 4.5 · 0.924 m is
+    /// E I = 6.38 MN m²; 12 MN/m² under half of 3.5 m every 0.6 m are 35 MN/m², which spread a load over 0.924 m: 3 m + 4.2 · 0.924 m is
     /// within the twelfth sleeper. On 30 MN/m² 6.6 m are enough, which are eleven.
     #[test]
     fn analytic_soft_ballast_wants_more_sleepers() {
@@ -415,6 +416,6 @@ mod tests {
         let on = |p1_n_m2: f64| {
             sleepers_on(&crossing, &BallastParameters { p1_n_m2, ..BallastParameters::NOMINAL })
         };
-        assert_eq!([12e6, 30e6].map(on), [12, 11]);
+        assert_eq!([12e6, 20e6, 30e6].map(on), [12, 11, 11]);
     }
 }

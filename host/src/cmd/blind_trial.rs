@@ -158,6 +158,8 @@ impl BlindTrialArgs {
 /// A trial in trials.json.
 #[derive(serde::Serialize, serde::Deserialize)]
 struct Record {
+    /// Earlier versions had the nominal one only.
+    #[serde(default)]
     panels: Panels,
     seed: u64,
     trial: u64,

@@ -11,8 +11,8 @@ use cpcm::gap::verdict::Verdict;
 use cpcm::progress::Silent;
 use cpcm::recording::{Passage, Site, TrafficDirection};
 use cpcm::report::diagnosis::sentence;
-use cpcm::scenario::{read_scenario, simulate};
-use cpcm_tests::diagnosed::{among, field, full, named, quick, says, small};
+use cpcm::scenario::{Scenario, read_scenario};
+use cpcm_tests::diagnosed::{among, field, full, named, quick, recorded, says, small};
 
 /// Every third passage is predicted whatever is left out; which ones these are shows what was.
 fn assert_diagnosed_of(found: &Diagnosis, site: &Site) {
@@ -223,21 +223,23 @@ fn regress_a_silent_passage_among_others_is_left_out() {
     assert_diagnosed_of(&found, &site);
 }
 
+fn example() -> Scenario {
+    read_scenario(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/examples/site.toml")).unwrap()
+}
+
 /// A simulated site without any effect.
 fn soundly_simulated(speed_m_s: f64, passages: usize) -> Site {
-    let example = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/examples/site.toml");
-    let mut scenario = read_scenario(&example).unwrap();
+    let mut scenario = example();
     scenario.simulation.speed_m_s = speed_m_s;
     scenario.simulation.passages = passages;
-    simulate(&scenario, &Silent).unwrap().site
+    recorded(&scenario)
 }
 
 /// Where the path is not known, four of eight trains over a transition half a metre behind the nose seemed to run the other way, whose
 /// transition would be nearer to it, and nothing was told of the site.
 #[test]
 fn regress_trains_over_a_late_transition_run_as_described() {
-    let example = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/examples/site.toml");
-    let mut scenario = read_scenario(&example).unwrap();
+    let mut scenario = example();
     let crossing = &mut scenario.crossing;
     crossing.track.sleeper_spacing_m = 0.62;
     (crossing.rail.crossing_part_x0_m, crossing.rail.crossing_part_x1_m) = (-0.8, 1.9);
@@ -252,7 +254,7 @@ fn regress_trains_over_a_late_transition_run_as_described() {
     (simulation.seed, simulation.passages, simulation.speed_m_s) = (205, 8, 25.0);
     (simulation.ballast.p1_n_m2, simulation.ballast.p2_n_m2) = (60e6, 40e6);
     (simulation.geometry.dip_m, simulation.geometry.transition_x_m) = (2e-3, 0.5);
-    let found = quick(&simulate(&scenario, &Silent).unwrap().site).unwrap();
+    let found = quick(&recorded(&scenario)).unwrap();
     assert!(!says(&found, "run trailing"), "{:?}", found.remarks);
     assert_eq!(found.verdict, Verdict::NoGap, "{:?}", found.remarks);
 }
@@ -261,13 +263,12 @@ fn regress_trains_over_a_late_transition_run_as_described() {
 /// displacement was missed by 2 to 5 %, more than bogies differ by, and the site was unexplained.
 #[test]
 fn regress_soft_ballast_has_no_gap() {
-    let example = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/examples/site.toml");
     for spacing_m in [0.5, 0.6] {
-        let mut scenario = read_scenario(&example).unwrap();
+        let mut scenario = example();
         scenario.crossing.track.sleeper_spacing_m = spacing_m;
         scenario.crossing.sensor.noise_rms_m_s2 = 0.05;
         (scenario.simulation.ballast.p1_n_m2, scenario.simulation.ballast.p2_n_m2) = (12e6, 8e6);
-        let found = quick(&simulate(&scenario, &Silent).unwrap().site).unwrap();
+        let found = quick(&recorded(&scenario)).unwrap();
         assert_eq!(found.verdict, Verdict::NoGap, "{spacing_m} m: {:?}", found.remarks);
     }
 }

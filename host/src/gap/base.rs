@@ -8,7 +8,7 @@ use super::data::{Observed, window_m};
 use super::effect::Effect;
 use super::envelopes::ahead_m;
 use super::fit::{Fit, FitOptions, Frame, Recall, State, fit, settled, values};
-use super::forward::{Detail, sleepers_on};
+use super::forward::{Detail, Response, Simulator, sleepers_on};
 use super::linear::{BogieResponses, Linear};
 use super::splines::{PathSplines, matern};
 use super::variation::{OwnIrregularity, Shapes, Variation, estimate, scatter};
@@ -395,8 +395,8 @@ fn linearise(world: &World, observed: &[Observed]) -> Result<(Vec<BogieResponses
     Ok(both.into_iter().unzip())
 }
 
-/// Search for the axle times, metres of travel in both directions.
-const ALIGN_M: f64 = 0.6;
+/// Searches for the axle times, one after the other, metres of travel in both directions.
+const ALIGN_M: [f64; 2] = [0.6, 0.12];
 
 /// Moves the first axle of every passage to where a world's prediction fits best. Where some then lie a wave beside the others, all are
 /// moved to where they lie by these, and as one to where the prediction fits all of them best, if it fits them far better there.
@@ -435,10 +435,8 @@ fn together_m(step: usize) -> f64 {
 /// Part of a passage's squares that a world's prediction misses: where the passage is, and where it is moved to the others and with them by
 /// every step.
 fn missed_around(world: &World, o: &Observed, ahead_m: f64) -> Result<(f64, Vec<f64>), GapError> {
-    let response = super::forward::Simulator::new(world, o.axle_load_kg)?.response(o.speed_m_s)?;
-    let gain = world.sensor.gain_at(o.temperature_c);
-    let whole = crate::signal::dot(&o.mean, &o.mean).max(f64::MIN_POSITIVE);
-    let at = |by_m: f64| o.misfit(&response, gain, by_m / o.speed_m_s) / whole;
+    let (response, gain) = shown(world, o)?;
+    let at = |by_m: f64| o.share_missed(&response, gain, by_m / o.speed_m_s);
     let apart = (APART_M / TOGETHER.0).round() as i64;
     let nearby = |step: usize| {
         (-apart..=apart)
@@ -448,30 +446,39 @@ fn missed_around(world: &World, o: &Observed, ahead_m: f64) -> Result<(f64, Vec<
     Ok((at(0.0), (0..=2 * TOGETHER.1).map(nearby).collect()))
 }
 
+/// What a world's sensor shows of a bogie of a passage, and its sensitivity then.
+fn shown(world: &World, o: &Observed) -> Result<(Response, f64), GapError> {
+    let response = Simulator::new(world, o.axle_load_kg)?.response(o.speed_m_s)?;
+    Ok((response, world.sensor.gain_at(o.temperature_c)))
+}
+
+/// Moves the first axle of a passage to where what is shown fits best.
+fn place_one(o: &mut Observed, (response, gain): (&Response, f64), window: (f64, f64), reaches_m: &[f64]) {
+    for reach_m in reaches_m {
+        let late_s = o.lag(response, gain, *reach_m);
+        o.delay(late_s, window);
+    }
+}
+
 /// Moves the first axle of every passage to where a world's prediction fits best.
 pub fn align(world: &World, observed: &mut [Observed], window: (f64, f64)) -> Result<(), GapError> {
-    observed.par_iter_mut().try_for_each(|o| align_one(world, o, window, &[ALIGN_M, 0.2 * ALIGN_M]))
+    observed.par_iter_mut().try_for_each(|o| align_one(world, o, window, &ALIGN_M))
 }
 
 fn align_one(world: &World, o: &mut Observed, window: (f64, f64), reaches_m: &[f64]) -> Result<(), GapError> {
-    let response = super::forward::Simulator::new(world, o.axle_load_kg)?.response(o.speed_m_s)?;
-    for reach_m in reaches_m {
-        let late_s = o.lag(&response, world.sensor.gain_at(o.temperature_c), *reach_m);
-        o.delay(late_s, window);
-    }
+    let (response, gain) = shown(world, o)?;
+    place_one(o, (&response, gain), window, reaches_m);
     Ok(())
 }
 
 /// Part of a passage's squares that a world's prediction misses where it fits best. In the world trains may run the other way than in the
 /// one that the passage was read for.
-pub fn missed(world: &World, o: &Observed) -> Result<f64, GapError> {
+pub fn missed_at_best(world: &World, mut o: Observed) -> Result<f64, GapError> {
     let window = window_of(&world.crossing);
-    let mut o = o.clone();
     o.cut(window);
-    align_one(world, &mut o, window, &[ALIGN_M, 0.2 * ALIGN_M])?;
-    let response = super::forward::Simulator::new(world, o.axle_load_kg)?.response(o.speed_m_s)?;
-    let whole = crate::signal::dot(&o.mean, &o.mean).max(f64::MIN_POSITIVE);
-    Ok(o.misfit(&response, world.sensor.gain_at(o.temperature_c), 0.0) / whole)
+    let (response, gain) = shown(world, &o)?;
+    place_one(&mut o, (&response, gain), window, &ALIGN_M);
+    Ok(o.share_missed(&response, gain, 0.0))
 }
 
 /// Factors of the covariances of the mean windows.

@@ -3,7 +3,7 @@
 use super::forward::{BAND_HZ, Response};
 use crate::reconstruct::Recording;
 use crate::recording::Sensor;
-use crate::signal::{mean_of, slope};
+use crate::signal::{dot, mean_of, slope};
 use crate::vehicle::AxlePattern;
 
 /// Rate of the windows, Hz.
@@ -158,6 +158,11 @@ impl Observed {
     pub fn misfit(&self, response: &Response, gain: f64, late_s: f64) -> f64 {
         let predicted = self.predicted_mean(response, gain, late_s);
         self.mean.iter().zip(&predicted).map(|(m, p)| (m - p).powi(2)).sum()
+    }
+
+    /// The same as a part of the squares of the mean window.
+    pub fn share_missed(&self, response: &Response, gain: f64, late_s: f64) -> f64 {
+        self.misfit(response, gain, late_s) / dot(&self.mean, &self.mean).max(f64::MIN_POSITIVE)
     }
 
     /// Times of the bogies after the first axle, s.

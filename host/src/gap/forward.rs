@@ -75,7 +75,7 @@ impl Simulator {
 
     /// The same in a given detail.
     pub fn in_detail(world: &World, axle_load_kg: f64, detail: Detail) -> Result<Self, SimulationError> {
-        let crossing = shortened(&world.crossing, world.sleepers);
+        let crossing = world.crossing.clone().shortened(world.sleepers);
         let track = Track::of_crossing(&crossing, Mesh::default());
         let model = TrackModel::new(&track, supports(world, &track), SLEEPER_MODES)?;
         let dt_s = match (world.sensor.range_m_s2, detail) {
@@ -349,17 +349,6 @@ pub fn sleepers_on(crossing: &Crossing, ballast: &BallastParameters) -> usize {
     let spread_m = (4.0 * rail.youngs_modulus_pa * rail.second_moment_m4 / support_n_m2).powf(0.25);
     let reach_m = (LEAD_IN_M + SPREADS * spread_m).max(REACH_M);
     (reach_m / spacing_m - WHOLE).ceil() as usize
-}
-
-/// The same crossing with fewer sleepers around it.
-fn shortened(crossing: &Crossing, sleepers: usize) -> Crossing {
-    let mut short = crossing.clone();
-    let (index, n) = (crossing.track.crossing_sleeper_index, crossing.track.n_sleepers);
-    let (before, after) = (index.min(sleepers), (n - 1 - index).min(sleepers));
-    short.track.n_sleepers = before + 1 + after;
-    short.track.crossing_sleeper_index = before;
-    short.sensor.sleeper_index = before;
-    short
 }
 
 /// Beds of the sleepers of a track.

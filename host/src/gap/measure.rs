@@ -234,8 +234,7 @@ pub fn measure(passages: &[Prediction], changed: bool) -> Gap {
     let mut random = Random::new(1, 0);
     let mut resampled: Vec<f64> = (0..RESAMPLES)
         .map(|_| {
-            let pick: Vec<usize> =
-                all.iter().map(|_| (random.unit() * all.len() as f64) as usize % all.len().max(1)).collect();
+            let pick: Vec<usize> = all.iter().map(|_| random.below(all.len())).collect();
             closed(ratios(&whole, &pick))
         })
         .collect();

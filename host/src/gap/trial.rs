@@ -130,7 +130,7 @@ fn told(
 /// An effect that is not among `names`.
 fn another(names: &[&'static str], random: &mut Random) -> &'static str {
     loop {
-        let name = DRAWN[(random.unit() * DRAWN.len() as f64) as usize % DRAWN.len()];
+        let name = DRAWN[random.below(DRAWN.len())];
         if !names.contains(&name) {
             return name;
         }

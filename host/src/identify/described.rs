@@ -58,9 +58,9 @@ const PLAIN: f64 = 20.0;
 /// leave 0.1 to 0.5 before anything is known of the site, those that are preferred by chance (noise, voids, interference) 0.9 and more.
 const EXPLAINS: f64 = 0.7;
 /// What it leaves at most of that which the description of crossing.toml leaves. Where both explain a train alike, what speaks for the
-/// other is only that forces are where the prior has them: up to 91 nats on six simulated panels whose rail is the same everywhere, or whose
-/// sleepers stand elsewhere than on the 72 sites, with 0.95 to 1.7 of it left; a seventh left 0.5 to 1.1 to the other direction. Of wrong descriptions of the reference recordings the
-/// right one leaves 0.07 to 0.59.
+/// other is only that forces are where the prior has them: up to 91 nats on six simulated panels whose rail is the same everywhere, or
+/// whose sleepers stand elsewhere than on the 72 sites, with 0.95 to 1.7 of it left; a seventh left 0.5 to 1.1 to the other direction. Of
+/// wrong descriptions of the reference recordings the right one leaves 0.07 to 0.59.
 const LEAVES: f64 = 0.7;
 /// A glance, with the rough ballast held, rules another description out that has this much less evidence than the one of crossing.toml,
 /// nats: the first where that one leaves no more of the train than stands beside it, the second whatever it leaves. Right descriptions

@@ -25,6 +25,16 @@ impl Random {
         low + (high - low) * self.unit()
     }
 
+    /// Uniform in its logarithm between two positive values.
+    pub fn between_logarithms(&mut self, low: f64, high: f64) -> f64 {
+        self.between(low.ln(), high.ln()).exp()
+    }
+
+    /// One of 0 … `count` − 1; 0 where there is none.
+    pub fn below(&mut self, count: usize) -> usize {
+        (self.unit() * count as f64) as usize % count.max(1)
+    }
+
     /// Standard normal (Box and Muller).
     pub fn normal(&mut self) -> f64 {
         let radius = (-2.0 * (1.0 - self.unit()).ln()).sqrt();

@@ -41,6 +41,16 @@ impl Crossing {
     pub fn sensor_x_m(&self) -> f64 {
         self.sleeper_x_m(self.sensor.sleeper_index)
     }
+
+    /// The same with this many sleepers on either side of the crossing sleeper, or as many as there are; the sensor on the crossing sleeper.
+    pub fn shortened(mut self, each_side: usize) -> Self {
+        let track = &mut self.track;
+        let (index, n) = (track.crossing_sleeper_index, track.n_sleepers);
+        let (before, after) = (index.min(each_side), (n - 1 - index).min(each_side));
+        (track.n_sleepers, track.crossing_sleeper_index) = (before + 1 + after, before);
+        self.sensor.sleeper_index = before;
+        self
+    }
 }
 
 /// Crossing panel design.

@@ -78,7 +78,11 @@ struct World<'a> {
 impl<'a> World<'a> {
     fn new(scenario: &'a Scenario) -> Result<Self, ScenarioError> {
         let s = &scenario.simulation;
-        let real = shortened(real_crossing(&scenario.crossing, &s.effects), s.solver.sleepers_each_side);
+        let real = real_crossing(&scenario.crossing, &s.effects);
+        let real = match s.solver.sleepers_each_side {
+            Some(each_side) => real.shortened(each_side),
+            None => real,
+        };
         let mesh = Mesh { rail_step_m: s.solver.rail_step_m, sleeper_step_m: s.solver.sleeper_step_m };
         let track = Track::of_crossing(&real, mesh);
         let ballast =
@@ -273,17 +277,6 @@ fn real_crossing(nominal: &Crossing, effects: &Effects) -> Crossing {
         real.vehicle.axle_load_kg *= a.factor;
     }
     real
-}
-
-/// The same crossing with fewer sleepers around it.
-fn shortened(mut crossing: Crossing, each_side: Option<usize>) -> Crossing {
-    let Some(each_side) = each_side else { return crossing };
-    let (index, n) = (crossing.track.crossing_sleeper_index, crossing.track.n_sleepers);
-    let (before, after) = (index.min(each_side), (n - 1 - index).min(each_side));
-    crossing.track.n_sleepers = before + 1 + after;
-    crossing.track.crossing_sleeper_index = before;
-    crossing.sensor.sleeper_index = before;
-    crossing
 }
 
 /// Ballast under every sleeper; `ballast_n_m2` becomes the true stiffness.

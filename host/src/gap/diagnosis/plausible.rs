@@ -226,7 +226,7 @@ fn chance(y: &[f64], x: &[f64], z: &[f64]) -> f64 {
     let mut as_good = 0;
     for _ in 0..SHUFFLES {
         for i in (1..x.len()).rev() {
-            x.swap(i, (random.unit() * (i + 1) as f64) as usize % (i + 1));
+            x.swap(i, random.below(i + 1));
         }
         as_good += usize::from(dot(&x, &y).abs() >= found);
     }

@@ -1,8 +1,10 @@
 //! What a site does not allow to tell, and whether effects may be looked for at all.
 
+use rayon::prelude::*;
+
 use super::{PATH_PRIOR, Session};
 use crate::gap::GapError;
-use crate::gap::base::{Base, Given, LEAST_SPEED_M_S, base, missed};
+use crate::gap::base::{Base, Given, LEAST_SPEED_M_S, base, missed_at_best};
 use crate::gap::consistency::Strangers;
 use crate::gap::data::{Observed, energies};
 use crate::gap::fit::simulate;
@@ -20,7 +22,7 @@ const FOREIGN_SCAN: (f64, f64, f64) = (0.7, 0.3, 0.5);
 
 /// A train runs as described, whatever its direction seems to be where the path is not known, when over the scan that leaves at most this
 /// part of the squares that running the other way leaves. Trains that do leave a sixth and less, those of four recorded sites whose
-/// direction is turned round in crossing.toml 1.3 times and more.
+/// direction is turned round in crossing.toml 1.2 times and more.
 const AS_DESCRIBED: f64 = 0.5;
 
 /// What all wheels share must fall below this part by the effects found, for a scan that another path than its own replaces well
@@ -129,9 +131,10 @@ impl Session<'_> {
             return Ok(false);
         }
         let mut directions = descriptions.directions(&trains, &quasi_static.first_axle_s, &rough);
-        for (o, as_described) in self.base.frame.observed.iter().zip(&mut directions) {
-            if *as_described == Some(false) && self.runs_as_described(o, site)? {
-                *as_described = Some(true);
+        let other_way: Vec<usize> = (0..directions.len()).filter(|i| directions[*i] == Some(false)).collect();
+        for (i, as_described) in other_way.iter().zip(self.as_described_by_the_scan(&other_way, site)?) {
+            if as_described {
+                directions[*i] = Some(true);
             }
         }
         Ok(self.of_one_direction(&directions, crossing.traffic_direction))
@@ -146,29 +149,33 @@ impl Session<'_> {
         if !matches!(suspicion, Some(Misdescription::Direction(_))) {
             return Ok(suspicion);
         }
-        let asked = self.search.iter().map(|i| &self.base.frame.observed[*i]);
-        let answers = asked.map(|o| self.runs_as_described(o, site)).collect::<Result<Vec<bool>, _>>()?;
+        let answers = self.as_described_by_the_scan(self.search, site)?;
         let as_described = answers.iter().filter(|a| **a).count();
         Ok(suspicion.filter(|_| 2 * as_described <= answers.len()))
     }
 
-    /// Whether the scan shows that a train runs as described. Without one its direction is only where the forces lie on one side of the
-    /// sensor, and a transition far from where they usually are looks like one that is run over from the other side.
-    fn runs_as_described(&self, o: &Observed, site: &Site) -> Result<bool, GapError> {
+    /// Of which passages the scan shows that trains run as described. Without one a train's direction is only where the forces lie on one
+    /// side of the sensor, and a transition far from where they usually are looks like one that is run over from the other side.
+    fn as_described_by_the_scan(&self, passages: &[usize], site: &Site) -> Result<Vec<bool>, GapError> {
         if site.scan.is_none() {
-            return Ok(false);
+            return Ok(vec![false; passages.len()]);
         }
         let frame = &self.base.frame;
-        let mut world = self.base.fit.state.world(frame, &[]);
+        let mut described = self.base.fit.state.world(frame, &[]);
         // What the fit has added to the scan makes up for the direction.
-        world.path.deviation = frame.base.path.deviation.clone();
-        let described = missed(&world, o)?;
-        let direction = &mut world.crossing.traffic_direction;
+        described.path.deviation = frame.base.path.deviation.clone();
+        let direction = described.crossing.traffic_direction;
+        let mut reversed = described.clone();
+        reversed.crossing.traffic_direction = direction.reversed();
         // The sleeper sinks when the wheel is over the sensor: before or after x = 0, by the direction.
-        let later_s = 2.0 * direction.sign() * site.crossing.sensor_x_m() / o.speed_m_s;
-        *direction = direction.reversed();
-        let other_way = missed(&world, &Observed { first_axle_s: o.first_axle_s + later_s, ..o.clone() })?;
-        Ok(described <= AS_DESCRIBED * other_way)
+        let later_m = 2.0 * direction.sign() * site.crossing.sensor_x_m();
+        let runs_as_described = |i: &usize| {
+            let o = &frame.observed[*i];
+            let first_axle_s = o.first_axle_s + later_m / o.speed_m_s;
+            let other_way = missed_at_best(&reversed, Observed { first_axle_s, ..o.clone() })?;
+            Ok(missed_at_best(&described, o.clone())? <= AS_DESCRIBED * other_way)
+        };
+        passages.par_iter().map(runs_as_described).collect()
     }
 
     /// Says what all else that departs from the model follows from.

@@ -355,7 +355,7 @@ mod tests {
             let mut bytes = text.clone().into_bytes();
             bytes.truncate((random.unit() * bytes.len() as f64) as usize + 1);
             for _ in 0..3 {
-                let k = (random.unit() * bytes.len() as f64) as usize % bytes.len();
+                let k = random.below(bytes.len());
                 bytes[k] = (random.unit() * 256.0) as u8;
             }
             let _ = read("a.uff", &String::from_utf8_lossy(&bytes));

@@ -37,7 +37,7 @@ pub(super) fn draw(scenario: &mut Scenario, random: &mut Random) {
     track.crossing_sleeper_x_m = random.between(-0.5, 0.5) * spacing_m;
 
     let rail = &mut crossing.rail;
-    let (profile, second_moment_m4, area_m2, mass_per_metre_kg) = one_of(&RAILS, random);
+    let (profile, second_moment_m4, area_m2, mass_per_metre_kg) = RAILS[random.below(RAILS.len())];
     rail.profile = profile.to_string();
     (rail.second_moment_m4, rail.area_m2, rail.mass_per_metre_kg) =
         (second_moment_m4, area_m2, mass_per_metre_kg);
@@ -47,12 +47,12 @@ pub(super) fn draw(scenario: &mut Scenario, random: &mut Random) {
     rail.crossing_part_mass_factor = random.between(1.0, 3.0);
 
     // From the soft pads of today to the stiff ones of the last century, evenly in the logarithm.
-    crossing.pad.stiffness_n_m = random.between(50e6_f64.ln(), 1200e6_f64.ln()).exp();
+    crossing.pad.stiffness_n_m = random.between_logarithms(50e6, 1200e6);
     crossing.pad.damping_ns_m = random.between(6e3, 25e3);
 
     let gauge_m = 2.0 * crossing.vehicle.contact_half_distance_m;
     let sleeper = &mut crossing.sleeper;
-    (sleeper.youngs_modulus_pa, sleeper.density_kg_m3) = one_of(&SLEEPERS, random);
+    (sleeper.youngs_modulus_pa, sleeper.density_kg_m3) = SLEEPERS[random.below(SLEEPERS.len())];
     sleeper.length_m = random.between(2.6, 4.4);
     sleeper.width_m = random.between(0.24, 0.32);
     sleeper.height_m = random.between(0.16, 0.24);
@@ -74,8 +74,4 @@ pub(super) fn draw(scenario: &mut Scenario, random: &mut Random) {
     simulation.geometry.transition_x_m = random.between(0.1, 0.5);
     simulation.geometry.wing_length_m = random.between(0.5, 0.9);
     simulation.geometry.nose_length_m = random.between(0.5, 0.9);
-}
-
-fn one_of<T: Copy>(of: &[T], random: &mut Random) -> T {
-    of[(random.unit() * of.len() as f64) as usize % of.len()]
 }

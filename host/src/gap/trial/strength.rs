@@ -99,7 +99,7 @@ impl Drawn {
         plain: &Plain,
     ) -> Result<Self, ScenarioError> {
         let spread = if question == Question::One { SPREAD } else { TOLD };
-        let (wanted, any) = (random.between(spread.0.ln(), spread.1.ln()).exp(), random.unit());
+        let (wanted, any) = (random.between_logarithms(spread.0, spread.1), random.unit());
         if name == CLOCK_ERROR {
             return Ok(Self { name, random, level: any });
         }
@@ -223,7 +223,7 @@ fn put(effects: &mut Effects, (name, level): (&str, f64), mut random: Random) ->
         "bias-step" => {
             let step_m_s2 = between(0.1, 30.0);
             effects.bias_step =
-                Some(kinds::BiasSteps { step_m_s2, decay_s: random.between(0.1_f64.ln(), 0.0).exp() });
+                Some(kinds::BiasSteps { step_m_s2, decay_s: random.between_logarithms(0.1, 1.0) });
             step_m_s2
         }
         "wheel-flat" => {

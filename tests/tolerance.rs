@@ -33,6 +33,12 @@ pub const INSIDE_UNDER_NOISE: f64 = 0.8;
 pub const WAVEFORM_OF_TWO_SLOW_TRAINS: f64 = 0.12;
 /// Waveforms where the crossing part ends within elements: 0.02 here, 0.09 where each of these was of one kind as a whole.
 pub const WAVEFORM_BESIDE_NODES: f64 = 0.03;
+/// Waveforms of trains of 28 m/s over a transition between two knots, and how many of their samples are inside: 0.03 and 0.9 here, 0.07 to 0.16
+/// and 0.56 to 0.8 with knots 0.1 m apart.
+pub const WAVEFORM_OF_SLOW_TRAINS: f64 = 0.05;
+pub const INSIDE_OF_SLOW_TRAINS: f64 = 0.85;
+/// Stiffness of soft ballast, relative: 1 % here, more than twice too stiff where the calibration begins with stiff ballast.
+pub const P1_ON_SOFT_BALLAST: f64 = 0.05;
 /// Curves and p1 over next to no support, relative: 5 and 4 % here, 7 and 6 % with another seed, as the shape p3, 0.1, is three standard
 /// deviations off its prior; a calibration that ends too early leaves 19 and 28 %.
 pub const WAVEFORM_ON_NO_SUPPORT: f64 = 0.1;

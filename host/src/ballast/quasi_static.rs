@@ -30,6 +30,13 @@ const APPROACH_M: f64 = 6.0;
 const STEP_M: f64 = 0.1;
 /// Where the load begins to fade and where it is gone, metres from the origin: no step at the rail ends.
 const FADE_M: [f64; 2] = [13.0, 17.0];
+/// A misfit from which on the fit may have ended where no ballast is: it leaves 0.03 to 0.18 of panels that are as described. Over 10 and
+/// 5 MN/m² it went from nominal ballast to 485 MN/m², and left 0.36.
+const POOR: f64 = 0.2;
+/// Ballast to begin with then, times the start.
+const OTHER_STARTS: [f64; 2] = [0.3, 3.0];
+/// What another start leaves at most of the misfit, if its end is preferred.
+const MUCH_BETTER: f64 = 0.7;
 /// One passage prepared for the comparison.
 #[derive(Clone, Debug)]
 pub struct QuasiStaticPassage {
@@ -100,8 +107,23 @@ impl<'a> QuasiStatic<'a> {
         Self { track, direction, frequency_hz, grid: track.rail_grid(STEP_M), passages }
     }
 
-    /// Fits the three parameters, times of the axles included, from `start`.
+    /// Fits the three parameters, times of the axles included: from `start`, and where that leaves much from softer and stiffer ballast.
     pub fn fit(&self, start: BallastParameters) -> QuasiStaticFit {
+        let first = self.fit_from(start);
+        if first.misfit < POOR {
+            return first;
+        }
+        let from = |factor: &f64| {
+            let (p1_n_m2, p2_n_m2) = (factor * start.p1_n_m2, factor * start.p2_n_m2);
+            self.fit_from(BallastParameters { p1_n_m2, p2_n_m2, ..start })
+        };
+        let better = |best: QuasiStaticFit, other: QuasiStaticFit| {
+            if other.misfit < MUCH_BETTER * best.misfit { other } else { best }
+        };
+        OTHER_STARTS.iter().map(from).fold(first, better)
+    }
+
+    fn fit_from(&self, start: BallastParameters) -> QuasiStaticFit {
         let first_axle_s = self.align(&start);
         let problem = Problem { model: self, times: first_axle_s, scaled: to_scaled(&start), evaluations: 0 };
         let (problem, report) = LevenbergMarquardt::new().with_ftol(1e-8).with_xtol(1e-6).minimize(problem);

@@ -196,7 +196,8 @@ fn calibrate(
     progress: &dyn Progress,
 ) -> Result<(Calibration, EvidenceFit), IdentifyError> {
     progress.begin("ballast by evidence", 4);
-    let mut state = Calibration::starting(start.ballast(), problem.direction);
+    let slowest_m_s = passages.iter().map(|p| p.timing.speed_m_s).fold(f64::INFINITY, f64::min);
+    let mut state = Calibration::starting(start.ballast(), problem.direction).felt_at(slowest_m_s);
     if start.hidden {
         state.prior.noise_m_s2 = state.prior.noise_m_s2.max(sensor_noise_m_s2(passages));
     }

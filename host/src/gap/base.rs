@@ -243,9 +243,9 @@ impl Given {
     }
 }
 
-/// Ballast under which the sleeper does not sink as it was recorded to is none to start from: the quasi-static fit leaves less than this of
-/// the displacement, RMS ratio. It leaves 0.07 to 0.49 where there is a deflection, over voids too, and 0.70 to 0.98 where the baseline jumps,
-/// where it finds 0.4 MN/m² and the track would be simulated over 20 sleepers.
+/// How much track is simulated follows from the ballast of the quasi-static fit, if that leaves less than this of the displacement, RMS ratio. It
+/// leaves 0.07 to 0.49 where there is a deflection, over voids too, and 0.70 to 0.98 where the baseline jumps, where it finds 0.4 MN/m²: that
+/// were 20 sleepers on either side.
 const LEFT_OF_DEFLECTION: f64 = 0.6;
 
 /// Fits the base model to the passages of `subset`; the first, rough fits use `search` only.
@@ -274,10 +274,15 @@ pub fn base(
         .map(|i| (&observed[*i].recording, observed[*i].speed_m_s, force(&observed[*i])))
         .collect();
     let quasi_static = QuasiStatic::new(&track, direction, &pattern, &inputs).fit(BallastParameters::NOMINAL);
-    // A clipped record has steps in its velocity, which the quasi-static fit takes for deflection, as it may those of the baseline.
-    let sinks = given.sensor.range_m_s2.is_none() && quasi_static.misfit < LEFT_OF_DEFLECTION;
-    let start = if sinks { quasi_static.start_of_evidence() } else { BallastParameters::NOMINAL };
-    let mut world = nominal_world(site, start)?;
+    let start = match given.sensor.range_m_s2 {
+        // A clipped record has steps in its velocity, which the quasi-static fit takes for deflection.
+        Some(_) => BallastParameters::NOMINAL,
+        None => quasi_static.start_of_evidence(),
+    };
+    let sinks = quasi_static.misfit < LEFT_OF_DEFLECTION;
+    let sleepers = sleepers_on(crossing, if sinks { &start } else { &BallastParameters::NOMINAL });
+    let nominal = || nominal_world(site, start).map(|world| World { sleepers, ..world });
+    let mut world = nominal()?;
     world.path.deviation = PathSplines::level(HALF_M, path_steps_m(&observed));
     world.sensor = given.sensor;
     for (effect, coordinates) in &given.effects {
@@ -315,7 +320,7 @@ pub fn base(
     frame.take(&shapes, &variation, linear)?;
     let fit = settled(&frame, &[], second.state, subset)?;
     if !given.effects.is_empty() {
-        frame.base = without_effects(&frame.base, nominal_world(site, start)?, given.sensor);
+        frame.base = without_effects(&frame.base, nominal()?, given.sensor);
     }
     Ok(Base { frame, fit, variation, shapes, window_m: window })
 }

@@ -110,17 +110,20 @@ impl Calibration {
     /// Nothing known of the irregularity.
     pub fn starting(ballast: BallastParameters, direction: f64) -> Self {
         let prior = Prior::starting(direction);
-        let grids = ProfileGrids::irregularity(prior.half_m, PROFILE_STEP_M.0, PROFILE_STEP_M.1);
-        Self { ballast, irregularity: CommonProfile::zero(grids), prior }
+        Self { ballast, irregularity: level(prior.half_m, PROFILE_STEP_M), prior }
     }
 
     /// The same with an irregularity as fine as trains of this speed feel it: the slower, the shorter are their waves.
     pub fn felt_at(self, speed_m_s: f64) -> Self {
         let finer = (speed_m_s / FINE_AT_M_S).clamp(FINEST, 1.0);
-        let [crossing_m, stock_m] = [FINE_STEP_M.0, FINE_STEP_M.1].map(|step_m| finer * step_m);
-        let grids = ProfileGrids::irregularity(self.prior.half_m, crossing_m, stock_m);
-        Self { irregularity: CommonProfile::zero(grids), ..self }
+        let irregularity = level(self.prior.half_m, (finer * FINE_STEP_M.0, finer * FINE_STEP_M.1));
+        Self { irregularity, ..self }
     }
+}
+
+/// No irregularity yet, with this spacing on the two rails.
+fn level(half_m: f64, (crossing_m, stock_m): (f64, f64)) -> CommonProfile {
+    CommonProfile::zero(ProfileGrids::irregularity(half_m, crossing_m, stock_m))
 }
 
 impl EvidenceProblem<'_> {

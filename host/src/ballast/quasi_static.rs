@@ -30,8 +30,8 @@ const APPROACH_M: f64 = 6.0;
 const STEP_M: f64 = 0.1;
 /// Where the load begins to fade and where it is gone, metres from the origin: no step at the rail ends.
 const FADE_M: [f64; 2] = [13.0, 17.0];
-/// A misfit from which on the fit may have ended where no ballast is: it leaves 0.03 to 0.18 of panels that are as described. Over 10 and
-/// 5 MN/m² it went from nominal ballast to 485 MN/m², and left 0.36.
+/// A misfit from which on the fit may have ended where no ballast is: over 10 and 5 MN/m² it went from nominal ballast to 485 MN/m², and left
+/// 0.36. Right ones leave 0.02 to 0.28; an end that is right is kept.
 const POOR: f64 = 0.2;
 /// Ballast to begin with then, times the start.
 const OTHER_STARTS: [f64; 2] = [0.3, 3.0];

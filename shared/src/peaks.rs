@@ -1,4 +1,4 @@
-//! Largest value along a curve, with parabolic refinement between the points.
+//! Largest value along a curve, refined between the points.
 
 /// Where a parabola through three neighbouring points has its vertex: −0.5 … 0.5 steps from the middle one; 0 when
 /// the middle is not the largest.
@@ -30,10 +30,60 @@ pub fn largest(curve: &[f32]) -> Option<Peak> {
         }
     }
     let (index, value) = best?;
-    let neighbours = index.checked_sub(1).and_then(|k| curve.get(k)).zip(curve.get(index + 1));
-    let Some((&before, &after)) = neighbours else { return Some(Peak { index, shift: 0.0, value }) };
+    let around = |k: usize| index.checked_sub(k).and_then(|from| curve.get(from..=index + k));
+    let Some(&[before, _, after]) = around(1) else { return Some(Peak { index, shift: 0.0, value }) };
     let shift = vertex(before, value, after);
-    Some(Peak { index, shift, value: value - 0.25 * (before - after) * shift })
+    let refined = match around(2) {
+        Some(&[a, b, c, d, e]) => Quartic::through([a, b, c, d, e]).top(shift),
+        _ => None,
+    };
+    let (shift, value) = refined.unwrap_or((shift, value - 0.25 * (before - after) * shift));
+    Some(Peak { index, shift, value })
+}
+
+/// Enough from a parabola's vertex: the third changes nothing in single precision.
+const NEWTON_STEPS: usize = 3;
+
+/// Stirling's polynomial through five equidistant points, about the middle one. A force of 250 Hz has five points of a slow
+/// train's grid to a wave; between two of them a parabola through three lacks up to 5 % of it, this 1.5 %.
+struct Quartic {
+    value: f32,
+    /// Central differences: mean first, second, mean third, fourth.
+    differences: [f32; 4],
+}
+
+impl Quartic {
+    fn through([a, b, c, d, e]: [f32; 5]) -> Self {
+        let (first, third) = (0.5 * (d - b), 0.5 * (e - a) - (d - b));
+        let (second, fourth) = (b - 2.0 * c + d, (a + e) - 4.0 * (b + d) + 6.0 * c);
+        Self { value: c, differences: [first, second, third, fourth] }
+    }
+
+    fn at(&self, t: f32) -> f32 {
+        let [first, second, third, fourth] = self.differences;
+        let cubic = t * (t * t - 1.0) / 6.0;
+        self.value + t * first + 0.5 * t * t * second + cubic * third + 0.25 * t * cubic * fourth
+    }
+
+    /// Where it is largest within half a step of the middle, by Newton's method from `start`, and its value there; `None`
+    /// where that is less than in the middle.
+    fn top(&self, start: f32) -> Option<(f32, f32)> {
+        let [first, second, third, fourth] = self.differences;
+        let mut t = start;
+        for _ in 0..NEWTON_STEPS {
+            let slope = first
+                + t * second
+                + (3.0 * t * t - 1.0) / 6.0 * third
+                + t * (2.0 * t * t - 1.0) / 12.0 * fourth;
+            let curvature = second + t * third + (6.0 * t * t - 1.0) / 12.0 * fourth;
+            if curvature >= 0.0 {
+                return None;
+            }
+            t = (t - slope / curvature).clamp(-0.5, 0.5);
+        }
+        let value = self.at(t);
+        (value >= self.value).then_some((t, value))
+    }
 }
 
 #[cfg(test)]
@@ -47,6 +97,19 @@ mod tests {
         let peak = largest(&curve).unwrap();
         assert_eq!(peak.index, 4);
         assert!((peak.shift - 0.3).abs() < 1e-5 && (peak.value - 100.0).abs() < 1e-4);
+    }
+
+    #[test]
+    fn analytic_a_wave_of_eight_points_between_two_of_them() {
+        for shift in [0.0, 0.2, 0.49, -0.3] {
+            let wave = |k: usize| libm::cosf(core::f32::consts::TAU / 8.0 * (k as f32 - 6.0 - shift));
+            let curve: [f32; 13] = core::array::from_fn(wave);
+            let peak = largest(&curve).unwrap();
+            assert_eq!(peak.index, 6);
+            // A parabola: 0.0085 and 0.01.
+            assert!((peak.value - 1.0).abs() < 0.0015, "{shift}: {}", peak.value);
+            assert!((peak.shift - shift).abs() < 0.003, "{shift}: {}", peak.shift);
+        }
     }
 
     #[test]

@@ -61,6 +61,7 @@ fn property_the_package_is_for_every_recorded_train() {
     let Run { package, analysis, .. } = run();
     let [slowest, fastest] = package.speeds_m_s;
     assert!(package.outside_m_s.is_empty(), "{:?}", package.outside_m_s);
+    assert!(package.beyond_m_s2.is_empty(), "{:?}", package.beyond_m_s2);
     assert!(analysis.passages.iter().all(|p| (slowest..=fastest).contains(&p.speed_m_s)));
 }
 

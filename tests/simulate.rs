@@ -3,12 +3,14 @@
 use std::path::{Path, PathBuf};
 
 use cpcm::gap::trial::{Panels, scenario_of};
+use cpcm::identify::identify;
+use cpcm::node_sim;
 use cpcm::passage::contact::ContactLaw;
 use cpcm::passage::{
     Journey, PassageRecord, Profile, RunningSurface, Start, Stepper, Support, TimeStep, TrackModel, Train,
     run,
 };
-use cpcm::pipeline::{AnalyseOptions, analyse};
+use cpcm::pipeline::{self, AnalyseOptions, analyse};
 use cpcm::progress::Silent;
 use cpcm::reconstruct::{Recording, SPEEDS_M_S, SpeedSearch, comb, estimate_speed};
 use cpcm::recording::truth::{Side, read_site_truth, read_truth, write_truth};
@@ -182,6 +184,30 @@ fn regress_soft_ballast_is_not_taken_for_stiff() {
     println!("peaks {peak:.4}, p1 {:.2} of 10.3 MN/m2", 1e-6 * p1);
     assert!(peak < tolerance::PEAK_OF_FEW_TRAINS);
     assert!((p1 / 10.3e6 - 1.0).abs() < tolerance::P1_ON_SOFT_BALLAST);
+}
+
+/// The node's windows hold frequencies that the host leaves out, and its kernel trusted the model there: peaks were 0.35 % below the host's
+/// on this panel, and one in four of those that the host's intervals hold lay outside its own.
+#[test]
+fn regress_node_concludes_nothing_from_beyond_the_hosts_band() {
+    let mut scenario = drawn_panel(801, 3, 8);
+    let ballast = &mut scenario.simulation.ballast;
+    (ballast.p1_n_m2, ballast.p2_n_m2, ballast.p3) = (30.7e6, 17.2e6, 0.347);
+    let site = simulate(&scenario, &Silent).unwrap().site;
+    let identified = identify(&site, &Silent).unwrap();
+    let analysis = pipeline::evaluate(&identified, &Silent).unwrap();
+    let package = pipeline::package(&identified, &Silent).unwrap();
+    let records = node_sim::records(&site, &package.bytes, &Silent).unwrap();
+    assert_eq!(records.len(), site.passages.len());
+    let mut above = Vec::new();
+    for (record, passage) in records.iter().zip(&analysis.passages) {
+        assert_eq!(record.wheelsets.len(), passage.wheelsets.len(), "passage {}", passage.passage_id);
+        let pairs = record.wheelsets.iter().zip(&passage.wheelsets);
+        above.extend(pairs.map(|(n, h)| f64::from(n.peak_force_n) / h.peak_force_n.value - 1.0));
+    }
+    let mean = above.iter().sum::<f64>() / above.len() as f64;
+    println!("node's peaks above the host's: {mean:+.5}");
+    assert!(mean.abs() < tolerance::NODE_BIAS_AGAINST_HOST, "{mean}");
 }
 
 /// The rail is the same everywhere, so that nothing tells one sleeper from the next but where forces are expected.

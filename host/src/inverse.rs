@@ -17,6 +17,6 @@ pub mod train;
 mod wheel;
 
 pub use estimator::{AxleGain, Estimator, GroupGeometry, InverseError};
-pub use prior::{Prior, Spread};
+pub use prior::{Beyond, Prior, Spread};
 pub use profile::{CommonProfile, PositionGrid, ProfileGrids, WheelClass};
 pub use wheel::{Excitation, Running, TrackModel};

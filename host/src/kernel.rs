@@ -10,7 +10,7 @@ use cpcm_shared::package::{
     Bin, Block, FORMAT, Group, Header, MAX_BINS, MAX_GROUP_AXLES, MAX_HEADER_LEN, MAX_RANK, MAX_WINDOW,
     Operator, PREFIX_LEN, Provenance, Sensor, Train,
 };
-use cpcm_shared::sample::{FULL_SCALE_CODE, M_S2_PER_CODE, RAW_RATE_HZ};
+use cpcm_shared::sample::{CODES_PER_G, FULL_SCALE_CODE, M_S2_PER_CODE, RAW_RATE_HZ};
 use cpcm_shared::storage::Map;
 use faer::Mat;
 use rayon::prelude::*;
@@ -20,7 +20,9 @@ use crate::forces::{LOW_PASS_HZ, Spread};
 use crate::greens::{Chain, GreensFunctions, GreensSampling, Quantity};
 use crate::identify::{IdentifiedSite, Misdescription};
 use crate::inverse::hierarchy::{GroupKind, kinds};
-use crate::inverse::{AxleGain, Estimator, Excitation, GroupGeometry, InverseError, Running, TrackModel};
+use crate::inverse::{
+    AxleGain, Beyond, Estimator, Excitation, GroupGeometry, InverseError, Prior, Running, TrackModel,
+};
 use crate::signal::{AntiAlias, HALF_WIDTH_90};
 
 /// Why a package cannot be made.
@@ -92,6 +94,11 @@ const GRID_STEP_M: f64 = 0.025;
 /// newtons: a thousandth of a usual peak.
 const TRUNCATION_N: f64 = 150.0;
 
+/// What the node's sensor takes beside gravity, which it feels as well, m/s².
+pub const SENSOR_RANGE_M_S2: f64 = (FULL_SCALE_CODE - CODES_PER_G) as f64 * M_S2_PER_CODE as f64;
+/// Noise that stands for the node's windows beyond the host's band, m/s²: more than the largest of signals leaves there.
+const BEYOND_M_S2: f64 = 10.0;
+
 /// What the node has room for. The header is well below its largest length, which is set aside for it.
 const ROOM: Room = {
     let bank = &Map::node().banks.banks[0];
@@ -120,6 +127,8 @@ pub struct Package {
     pub speeds_m_s: [f64; 2],
     /// Speeds of the recorded trains that the node will flag `speed-outside`, m/s, ascending: it has no room for their bins.
     pub outside_m_s: Vec<f64>,
+    /// Largest accelerations of the recorded trains under which the node's sensor will clip, m/s², ascending.
+    pub beyond_m_s2: Vec<f64>,
 }
 
 /// Encodes the package of a calibrated site: the bins of as many of its trains as the node has room for.
@@ -178,7 +187,20 @@ pub fn package(site: &IdentifiedSite, done: &(dyn Fn() + Sync)) -> Result<Packag
     let len = header.encode(&mut bytes).map_err(|e| KernelError::Header(format!("{e:?}")))?;
     bytes.truncate(len);
     bytes.extend(payload);
-    Ok(Package { bytes, speeds_m_s: [speeds[0], speeds[speeds.len() - 1]], outside_m_s })
+    let largest_m_s2 = site.recordings.iter().map(|r| r.max_m_s2);
+    Ok(Package {
+        bytes,
+        speeds_m_s: [speeds[0], speeds[speeds.len() - 1]],
+        outside_m_s,
+        beyond_m_s2: beyond_range(largest_m_s2),
+    })
+}
+
+/// Those of the largest accelerations of recordings that the node's sensor does not reach, ascending.
+fn beyond_range(largest_m_s2: impl Iterator<Item = f64>) -> Vec<f64> {
+    let mut beyond: Vec<f64> = largest_m_s2.filter(|a| *a > SENSOR_RANGE_M_S2).collect();
+    beyond.sort_by(f64::total_cmp);
+    beyond
 }
 
 /// Which bins go into the package, and the speeds of the trains that none of them is for.
@@ -279,7 +301,7 @@ fn operator(
     };
     let model = TrackModel { greens, excitation: Excitation::Force };
     let class = &site.classes[site.class_of(speed_m_s)];
-    let estimator = Estimator::new(&model, &geometry, &class.prior, class.profile())?;
+    let estimator = Estimator::new(&model, &geometry, &node_prior(site, &class.prior), class.profile())?;
     let gains = estimator.gains(grid_m, LOW_PASS_HZ, class.profile());
     let (g, n) = (grid_m.len(), estimator.len());
     let gain = Mat::from_fn(gains.len() * g, n, |i, k| gains[i / g].gain[(i % g, k)]);
@@ -302,6 +324,17 @@ fn operator(
         half_width_n,
         template_m_s2: estimator.expected_m_s2,
     })
+}
+
+/// The prior of the host's forces for the node's windows: the same density of noise over frequency at a higher rate, and nothing
+/// concluded from beyond the host's band, which the node's windows hold up to half their rate.
+fn node_prior(site: &IdentifiedSite, prior: &Prior) -> Prior {
+    let GreensSampling { rate_hz, band_hz, .. } = site.greens.sampling;
+    Prior {
+        noise_m_s2: prior.noise_m_s2 * (NODE_RATE_HZ / rate_hz).sqrt(),
+        beyond: Some(Beyond { from_hz: band_hz[1], noise_m_s2: BEYOND_M_S2 }),
+        ..prior.clone()
+    }
 }
 
 /// Left singular vectors of gain × covariance root, as many as the truncation allows: in that metric a left-out
@@ -429,4 +462,16 @@ fn model_hash(site: &IdentifiedSite) -> u64 {
         text.push_str(&format!("{:?}{:?}", class.prior, class.profile()));
     }
     crc::Crc::<u64>::new(&crc::CRC_64_XZ).checksum(text.as_bytes())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// 40 g less one are 382.5 m/s².
+    #[test]
+    fn analytic_recordings_beyond_the_range_of_the_sensor() {
+        assert_eq!(beyond_range([600.0, 380.0, 384.0].into_iter()), [384.0, 600.0]);
+        assert!(beyond_range([238.0].into_iter()).is_empty());
+    }
 }

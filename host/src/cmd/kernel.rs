@@ -10,6 +10,7 @@ use super::output::{print, print_json, warn, warn_skipped};
 use super::progress::Bar;
 use super::with_effects::Effects;
 use crate::gap::corrected::Purpose;
+use crate::kernel::SENSOR_RANGE_M_S2;
 use crate::pipeline::{self, AnalyseOptions};
 use crate::recording::files::{check_file, write_atomic};
 use crate::recording::read_site;
@@ -50,6 +51,14 @@ impl KernelArgs {
                 site.passages.len()
             ));
         }
+        if let [.., largest] = package.beyond_m_s2[..] {
+            warn(&format!(
+                "{} of {} recordings reach beyond the {SENSOR_RANGE_M_S2:.0} m/s2 that the node's sensor takes beside gravity, up to \
+                 {largest:.0} m/s2: it will clip and flag these trains clipped; their forces may be wrong beyond their intervals",
+                package.beyond_m_s2.len(),
+                site.passages.len()
+            ));
+        }
         let (file, bytes) = (self.out.display().to_string(), package.bytes.len());
         let [slowest, fastest] = package.speeds_m_s;
         if self.json {
@@ -59,6 +68,7 @@ impl KernelArgs {
                 "bytes": bytes,
                 "speeds_m_s": package.speeds_m_s,
                 "outside_m_s": package.outside_m_s,
+                "beyond_m_s2": package.beyond_m_s2,
                 "effects_included": included,
             }));
         }

@@ -7,9 +7,9 @@ use faer::linalg::solvers::Llt;
 use faer::linalg::solvers::Solve as _;
 use faer::{Accum, Mat, MatRef, Par};
 
-use super::Prior;
 use super::deviations::Deviations;
 use super::hierarchy::GroupOffsets;
+use super::prior::Prior;
 use super::profile::{CommonProfile, WheelClass, add_scaled};
 use super::train::{Axle, Group, Train};
 use super::wheel::{Basis, Running, SIDES, TrackModel};
@@ -126,7 +126,7 @@ impl Estimator {
     ) -> Result<Self, InverseError> {
         let Group { window, axles, expected_m_s2, expected_slope_m_s3, .. } = &train.groups[group];
         let len = window.len;
-        let mut covariance = noise_covariance(prior, len);
+        let mut covariance = noise_covariance(prior, len, train.rate_hz);
         for axle in axles {
             own.iter().for_each(|rail| rail.add_covariance(*axle, &mut covariance));
             add_outer(&mut covariance, &train.axles[*axle].static_m_s2[..len], prior.load_sd.powi(2));
@@ -308,7 +308,12 @@ fn add_outer(covariance: &mut Mat<f64>, v: &[f64], scale: f64) {
     }
 }
 
-fn noise_covariance(prior: &Prior, len: usize) -> Mat<f64> {
-    let offset = prior.offset_sd_m_s2.powi(2);
-    Mat::from_fn(len, len, |i, j| offset + if i == j { prior.noise_m_s2.powi(2) } else { 0.0 })
+fn noise_covariance(prior: &Prior, len: usize, rate_hz: f64) -> Mat<f64> {
+    let at_lag = |lag: usize| {
+        let white = if lag == 0 { prior.noise_m_s2.powi(2) } else { 0.0 };
+        let beyond = prior.beyond.map_or(0.0, |b| b.covariance(lag, rate_hz));
+        prior.offset_sd_m_s2.powi(2) + white + beyond
+    };
+    let by_lag: Vec<f64> = (0..len).map(at_lag).collect();
+    Mat::from_fn(len, len, |i, j| by_lag[i.abs_diff(j)])
 }

@@ -1,5 +1,7 @@
 //! What is assumed of the forces before the recording is seen.
 
+use std::f64::consts::PI;
+
 use faer::Mat;
 use faer::linalg::solvers::Solve as _;
 
@@ -37,12 +39,34 @@ pub struct Prior {
     pub load_sd: f64,
     /// Noise of one window sample, m/s².
     pub noise_m_s2: f64,
+    /// What else a window holds that its model does not.
+    pub beyond: Option<Beyond>,
     /// Standard deviation of a constant offset of the window, m/s².
     pub offset_sd_m_s2: f64,
     /// Deviations are unknown while the wheel is within this distance of x = 0, metres; static beyond.
     pub half_m: f64,
     /// The window holds the response while a wheel is within this distance of x = 0, metres.
     pub window_m: f64,
+}
+
+/// Frequencies of a window that nothing is to be concluded from: the model of the track is less accurate there than the
+/// sensor, and alike for all wheels, whose number therefore does not average its errors out.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Beyond {
+    /// Where they begin, Hz.
+    pub from_hz: f64,
+    /// Noise that stands for them, standard deviation of one sample if they began at 0 Hz, m/s².
+    pub noise_m_s2: f64,
+}
+
+impl Beyond {
+    /// Covariance of two samples `lag` apart at a rate, (m/s²)²: of white noise, less its part below.
+    pub fn covariance(&self, lag: usize, rate_hz: f64) -> f64 {
+        let below = (2.0 * self.from_hz / rate_hz).min(1.0);
+        let angle = PI * below * lag as f64;
+        let share = if lag == 0 { 1.0 - below } else { -below * angle.sin() / angle };
+        self.noise_m_s2.powi(2) * share
+    }
 }
 
 /// Standard deviations along the track.
@@ -73,6 +97,7 @@ impl Prior {
             slow_n: 0.5e3,
             load_sd: 0.02,
             noise_m_s2: 0.03,
+            beyond: None,
             offset_sd_m_s2: 0.02,
             half_m: 5.5,
             window_m: 4.0,
@@ -131,6 +156,7 @@ impl Prior {
             dip_correlation_m: 0.0,
             load_sd: 0.0,
             noise_m_s2: 0.0,
+            beyond: None,
             offset_sd_m_s2: 0.0,
             window_m: 0.0,
             ..self.clone()

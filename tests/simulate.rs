@@ -210,6 +210,16 @@ fn regress_node_concludes_nothing_from_beyond_the_hosts_band() {
     assert!(mean.abs() < tolerance::NODE_BIAS_AGAINST_HOST, "{mean}");
 }
 
+/// The slower the trains, the more a speed of the kernel takes, and the node had no room for a quarter of these trains.
+#[test]
+fn regress_kernel_of_slow_trains_has_room_for_them_all() {
+    let scenario = drawn_panel(801, 4, 12);
+    let site = simulate(&scenario, &Silent).unwrap().site;
+    let package = pipeline::kernel(&site, &AnalyseOptions::default(), &Silent).unwrap();
+    println!("{} bytes, {:?} m/s", package.bytes.len(), package.speeds_m_s);
+    assert!(package.outside_m_s.is_empty(), "{:?}", package.outside_m_s);
+}
+
 /// The rail is the same everywhere, so that nothing tells one sleeper from the next but where forces are expected.
 #[test]
 fn regress_panel_that_nothing_contradicts_is_as_described() {

@@ -23,6 +23,7 @@ use crate::inverse::hierarchy::{GroupKind, kinds};
 use crate::inverse::{
     AxleGain, Beyond, Estimator, Excitation, GroupGeometry, InverseError, Prior, Running, TrackModel,
 };
+use crate::progress::Progress;
 use crate::signal::{AntiAlias, HALF_WIDTH_90};
 
 /// Why a package cannot be made.
@@ -81,9 +82,9 @@ pub enum KernelError {
     Header(String),
 }
 
-/// Relative distance of neighbouring speed bins. The node blends two bins; at 5 % the blend is accurate to a few
-/// per mille (`docs/method.md`).
-const BIN_STEP: f64 = 0.05;
+/// Relative distances of neighbouring speed bins, in the order in which they are tried: the next where the node has no room for all
+/// recorded trains. It blends two bins; at 5 % the blend is accurate to a few per mille (`docs/method.md`).
+const BIN_STEPS: [f64; 4] = [0.05, 0.06, 0.07, 0.08];
 /// Bins reach this far beyond the slowest and the fastest recorded train.
 const BIN_MARGIN: f64 = 0.03;
 /// Rate of the node's windows, Hz.
@@ -132,7 +133,7 @@ pub struct Package {
 }
 
 /// Encodes the package of a calibrated site: the bins of as many of its trains as the node has room for.
-pub fn package(site: &IdentifiedSite, done: &(dyn Fn() + Sync)) -> Result<Package, KernelError> {
+pub fn package(site: &IdentifiedSite, progress: &dyn Progress) -> Result<Package, KernelError> {
     let raw_rate = site.site.crossing.sensor.sample_rate_hz;
     if (raw_rate - f64::from(RAW_RATE_HZ)).abs() > 0.5 {
         return Err(KernelError::SampleRate { found: raw_rate, expected: f64::from(RAW_RATE_HZ) });
@@ -150,28 +151,17 @@ pub fn package(site: &IdentifiedSite, done: &(dyn Fn() + Sync)) -> Result<Packag
         return Err(KernelError::Misdescribed(misdescription));
     }
     let kinds = kinds(&site.pattern);
-    let greens = node_greens(site);
-    let spreads = Spread::of_classes(site)?;
-    let speeds = bin_speeds(&recorded_m_s);
     let grid = grid(site.region_m());
-    let mut parts: Vec<Vec<Parts>> = speeds
-        .par_iter()
-        .map(|v| {
-            let class = site.class_of(*v);
-            let of_kind = |(k, kind)| {
-                let shared_n = |axle: usize| spreads[class].causes(k, axle, &grid).shared_n();
-                operator(site, &greens, kind, *v, (&grid, &shared_n))
-            };
-            let bin = kinds.iter().enumerate().map(of_kind).collect::<Result<_, _>>();
-            done();
-            bin
-        })
-        .collect::<Result<_, InverseError>>()?;
-    let (chosen, outside_m_s) = within_room(recorded_m_s, &speeds, &parts)?;
-    let (speeds, parts) = (&speeds[chosen.clone()], parts.drain(chosen));
+    let track = NodeTrack {
+        kinds: &kinds,
+        grid_m: &grid,
+        greens: node_greens(site),
+        spreads: Spread::of_classes(site)?,
+    };
+    let Bins { speeds_m_s, operators, outside_m_s } = track.bins(site, &recorded_m_s, progress)?;
     let mut payload = Vec::new();
     let mut header = header(site, &kinds, &grid)?;
-    for (speed, operators) in speeds.iter().zip(parts) {
+    for (speed, operators) in speeds_m_s.iter().zip(operators) {
         let mut bin = Bin { speed_m_s: *speed as f32, operators: heapless::Vec::new() };
         for parts in operators {
             let operator = parts.store(&mut payload);
@@ -179,7 +169,7 @@ pub fn package(site: &IdentifiedSite, done: &(dyn Fn() + Sync)) -> Result<Packag
                 .push(operator)
                 .map_err(|_| too_many("kinds of axle groups", kinds.len(), bin.operators.len()))?;
         }
-        header.bins.push(bin).map_err(|_| too_many("speed bins", speeds.len(), header.bins.len()))?;
+        header.bins.push(bin).map_err(|_| too_many("speed bins", speeds_m_s.len(), header.bins.len()))?;
     }
     header.payload_len = payload.len() as u32;
     header.check().map_err(|e| KernelError::Header(format!("{e:?}")))?;
@@ -190,7 +180,7 @@ pub fn package(site: &IdentifiedSite, done: &(dyn Fn() + Sync)) -> Result<Packag
     let largest_m_s2 = site.recordings.iter().map(|r| r.max_m_s2);
     Ok(Package {
         bytes,
-        speeds_m_s: [speeds[0], speeds[speeds.len() - 1]],
+        speeds_m_s: [speeds_m_s[0], speeds_m_s[speeds_m_s.len() - 1]],
         outside_m_s,
         beyond_m_s2: beyond_range(largest_m_s2),
     })
@@ -203,9 +193,80 @@ fn beyond_range(largest_m_s2: impl Iterator<Item = f64>) -> Vec<f64> {
     beyond
 }
 
-/// Which bins go into the package, and the speeds of the trains that none of them is for.
+/// Speed bins of a package, ascending.
+struct Bins {
+    speeds_m_s: Vec<f64>,
+    /// Per bin, those of every kind of groups.
+    operators: Vec<Vec<Parts>>,
+    /// Speeds of recorded trains that none of the bins is for, ascending.
+    outside_m_s: Vec<f64>,
+}
+
+/// What the operators of all speeds are made of.
+struct NodeTrack<'a> {
+    kinds: &'a [GroupKind],
+    grid_m: &'a [f64],
+    greens: GreensFunctions,
+    spreads: Vec<Spread>,
+}
+
+impl NodeTrack<'_> {
+    /// As near one another as there is room for bins of all recorded trains; where there is for none of the distances, those that
+    /// are for most trains.
+    fn bins(
+        &self,
+        site: &IdentifiedSite,
+        recorded_m_s: &[f64],
+        progress: &dyn Progress,
+    ) -> Result<Bins, KernelError> {
+        let [near, wider @ ..] = BIN_STEPS;
+        let mut most = self.bins_apart(near, site, recorded_m_s, progress)?;
+        for step in wider {
+            if most.outside_m_s.is_empty() {
+                break;
+            }
+            let bins = self.bins_apart(step, site, recorded_m_s, progress)?;
+            if bins.outside_m_s.len() < most.outside_m_s.len() {
+                most = bins;
+            }
+        }
+        Ok(most)
+    }
+
+    fn bins_apart(
+        &self,
+        step: f64,
+        site: &IdentifiedSite,
+        recorded_m_s: &[f64],
+        progress: &dyn Progress,
+    ) -> Result<Bins, KernelError> {
+        let speeds = bin_speeds(recorded_m_s, step);
+        progress.begin("kernel package", speeds.len() as u64);
+        let of_speed = |v: &f64| {
+            let bin = self.operators(site, *v);
+            progress.step();
+            bin
+        };
+        let mut operators: Vec<Vec<Parts>> =
+            speeds.par_iter().map(of_speed).collect::<Result<_, InverseError>>()?;
+        let (chosen, outside_m_s) = within_room(recorded_m_s, &speeds, &operators)?;
+        let operators = operators.drain(chosen.clone()).collect();
+        Ok(Bins { speeds_m_s: speeds[chosen].to_vec(), operators, outside_m_s })
+    }
+
+    fn operators(&self, site: &IdentifiedSite, speed_m_s: f64) -> Result<Vec<Parts>, InverseError> {
+        let spread = &self.spreads[site.class_of(speed_m_s)];
+        let of_kind = |(k, kind)| {
+            let shared_n = |axle: usize| spread.causes(k, axle, self.grid_m).shared_n();
+            operator(site, &self.greens, kind, speed_m_s, (self.grid_m, &shared_n))
+        };
+        self.kinds.iter().enumerate().map(of_kind).collect()
+    }
+}
+
+/// Which bins the node has room for, and the speeds of the trains that none of them is for.
 fn within_room(
-    mut recorded_m_s: Vec<f64>,
+    recorded_m_s: &[f64],
     speeds: &[f64],
     parts: &[Vec<Parts>],
 ) -> Result<(Range<usize>, Vec<f64>), KernelError> {
@@ -215,9 +276,9 @@ fn within_room(
         Demand { speed_m_s: s.speed_m_s, bytes: fits.then_some(s.bytes) }
     };
     let demands: Vec<Demand> = sizes.iter().map(demand).collect();
-    if let Some(range) = choose(&demands, &recorded_m_s, ROOM) {
-        recorded_m_s.retain(|v| !covers(&demands[range.clone()], *v));
-        return Ok((range, recorded_m_s));
+    if let Some(range) = choose(&demands, recorded_m_s, ROOM) {
+        let outside = recorded_m_s.iter().copied().filter(|v| !covers(&demands[range.clone()], *v)).collect();
+        return Ok((range, outside));
     }
     let end = |speed: Option<&f64>| speed.copied().unwrap_or(0.0);
     let (slowest, fastest) = (end(recorded_m_s.first()), end(recorded_m_s.last()));
@@ -233,11 +294,6 @@ fn size(speed_m_s: f64, operators: &[Parts]) -> BinSize {
         window: operators.iter().map(|p| p.project.ncols()).max().unwrap_or(0),
         bytes: operators.iter().map(Parts::bytes).sum(),
     }
-}
-
-/// Number of bins that [`package`] computes, for progress.
-pub fn bin_count(site: &IdentifiedSite) -> usize {
-    bin_speeds(&recorded_speeds(site)).len()
 }
 
 /// Green's functions as the node sees the track: recorder and decimation filter included.
@@ -261,13 +317,13 @@ fn recorded_speeds(site: &IdentifiedSite) -> Vec<f64> {
     speeds
 }
 
-/// Speeds of bins for trains of `recorded_m_s`, ascending, with room on both sides.
-fn bin_speeds(recorded_m_s: &[f64]) -> Vec<f64> {
+/// Speeds of bins at most `step` apart for trains of `recorded_m_s`, ascending, with room on both sides.
+fn bin_speeds(recorded_m_s: &[f64], step: f64) -> Vec<f64> {
     let (Some(slowest), Some(fastest)) = (recorded_m_s.first(), recorded_m_s.last()) else {
         return Vec::new();
     };
     let (slowest, fastest) = (slowest * (1.0 - BIN_MARGIN), fastest * (1.0 + BIN_MARGIN));
-    let steps = ((fastest / slowest).ln() / BIN_STEP).ceil().max(1.0) as usize;
+    let steps = ((fastest / slowest).ln() / step).ceil().max(1.0) as usize;
     (0..=steps).map(|i| slowest * (fastest / slowest).powf(i as f64 / steps as f64)).collect()
 }
 

@@ -65,8 +65,7 @@ pub fn kernel(
 
 /// The kernel package of a site that has been identified.
 pub fn package(identified: &IdentifiedSite, progress: &dyn Progress) -> Result<Package, PipelineError> {
-    progress.begin("kernel package", crate::kernel::bin_count(identified) as u64);
-    Ok(crate::kernel::package(identified, &|| progress.step())?)
+    Ok(crate::kernel::package(identified, progress)?)
 }
 
 /// Sampling of the model displacement: the static response holds nothing above 60 Hz.

@@ -10,11 +10,10 @@ use cpcm::kernel::{KernelError, Package};
 use cpcm::node_sim::{QUIET_S, SharedNode, codes_of_site, with_kernel};
 use cpcm::pipeline::{self, AnalyseOptions, PipelineError};
 use cpcm::progress::Silent;
-use cpcm::recording::truth::{Side, Truth, read_truth};
+use cpcm::recording::truth::{Truth, read_truth};
 use cpcm::recording::{Site, read_site};
-use cpcm::scoring::{Score, score, true_force_n};
+use cpcm::scoring::{Score, score, score_node};
 use cpcm::signal::{quantile, resample};
-use cpcm::vehicle::static_wheel_force_n;
 use cpcm_shared::record::Record;
 use cpcm_shared::sample::{RAW_RATE_HZ, SensorCode};
 use cpcm_tests::compare::largest_difference;
@@ -216,16 +215,15 @@ fn reference_speed() {
 /// The node's share of the error: its peaks against the host's from the same recordings.
 #[test]
 fn reference_node_agrees_with_the_host() {
-    let Run { analysis, records, .. } = run();
+    let Run { analysis, records, truth, .. } = run();
     assert_eq!(records.len(), analysis.passages.len(), "every train is found, and nothing else");
-    let mut difference = Vec::new();
     for (record, passage) in records.iter().zip(&analysis.passages) {
         assert_eq!(record.wheelsets.len(), passage.wheelsets.len(), "every axle of {}", passage.passage_id);
         assert_eq!(record.flags, 0, "passage {}", passage.passage_id);
         assert!((f64::from(record.speed_m_s) / passage.speed_m_s - 1.0).abs() < tolerance::SITE_SPEED);
-        let pairs = record.wheelsets.iter().zip(&passage.wheelsets);
-        difference.extend(pairs.map(|(n, h)| (f64::from(n.peak_force_n) / h.peak_force_n.value - 1.0).abs()));
     }
+    let difference: Vec<f64> =
+        score_node(records, analysis, truth).against_host.iter().map(|d| d.abs()).collect();
     let (median, _) = told("node against host, relative difference of the peak", &difference);
     assert!(median < tolerance::NODE_AGAINST_HOST, "median {median:.4}");
 }
@@ -234,26 +232,9 @@ fn reference_node_agrees_with_the_host() {
 /// peaks, and held fewer of the true ones than they say.
 #[test]
 fn reference_node_intervals_hold_what_the_hosts_hold() {
-    let Run { site, analysis, records, truth, .. } = run();
-    let vehicle = &site.crossing.vehicle;
-    let static_n = static_wheel_force_n(vehicle.axle_load_kg, vehicle.gravity_m_s2);
-    let (mut inside, mut width) = (Vec::new(), Vec::new());
-    for (record, passage) in records.iter().zip(&analysis.passages) {
-        for (k, (node, host)) in record.wheelsets.iter().zip(&passage.wheelsets).enumerate() {
-            let half_n = f64::from(node.peak_half_width_n);
-            let peak = host.peak_force_n;
-            width.push(half_n / (0.5 * (peak.upper - peak.lower)));
-            let known = truth
-                .wheels
-                .iter()
-                .find(|w| w.passage_id == passage.passage_id && w.wheelset == k && w.side == Side::Crossing);
-            let true_n = true_force_n(known.unwrap(), &site.crossing, static_n, &host.position_m);
-            let true_peak_n = true_n.iter().copied().fold(0.0, f64::max);
-            inside.push(f64::from(u8::from((f64::from(node.peak_force_n) - true_peak_n).abs() < half_n)));
-        }
-    }
-    let share = inside.iter().sum::<f64>() / inside.len() as f64;
-    let median = quantile(&width, 0.5);
+    let Run { analysis, records, truth, .. } = run();
+    let score = score_node(records, analysis, truth);
+    let (share, median) = (score.coverage, quantile(&score.width, 0.5));
     println!(
         "true peaks inside the node's intervals: {:.0} %; width over the host's {median:.2}",
         100.0 * share

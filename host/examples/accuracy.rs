@@ -1,4 +1,4 @@
-//! Error of the analysis against the known truth, one line per site:
+//! Error of the analysis against the known truth, one line per site, with the ballast and the simulated node below it:
 //!
 //!     cargo run --release --example accuracy -- tests/data/field/reference-*
 //!     cargo run --release --example accuracy -- simulated --with-effects diagnosis.json simulated
@@ -8,13 +8,16 @@
 use std::path::Path;
 use std::time::Instant;
 
+use cpcm::analysis::Analysis;
 use cpcm::gap::corrected::{Purpose, corrected};
 use cpcm::gap::included::{read_effects, taken};
-use cpcm::pipeline::{AnalyseOptions, analyse};
+use cpcm::identify::{IdentifiedSite, identify};
+use cpcm::node_sim::records;
+use cpcm::pipeline::{evaluate, package};
 use cpcm::progress::Silent;
 use cpcm::recording::read_site;
-use cpcm::recording::truth::read_truth;
-use cpcm::scoring::{Score, score};
+use cpcm::recording::truth::{Truth, read_truth};
+use cpcm::scoring::{Score, score, score_node};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     if std::env::args().len() < 2 {
@@ -39,9 +42,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let site = read_site(dir)?;
         let clock = Instant::now();
         let site = corrected(&site, &effects, Purpose::Analysis, &Silent)?;
-        let analysis = analyse(&site, &AnalyseOptions::default(), &Silent)?;
+        let identified = identify(&site, &Silent)?;
+        let analysis = evaluate(&identified, &Silent)?;
         let seconds = clock.elapsed().as_secs_f64();
-        let s = score(&analysis, &read_truth(dir)?);
+        let truth = read_truth(dir)?;
+        let s = score(&analysis, &truth);
         let percent = |values: &[f64]| 100.0 * Score::median(values);
         println!(
             "{:<23} {:>5.2} % {:>5.2} % {:>5.2} % {:>6.1} mm {:>6.3} %      {:>5.2} %       {:>5.2} % {:>3.0} %  {:>3.0} %  {:>3.0} %  {:>+5.2} % (± {:.2}) {:>4.1} s",
@@ -72,6 +77,39 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
                 p3
             );
         }
+        // A kernel may refuse effects that the analysis takes off.
+        if effects.is_empty() {
+            print_node(&identified, &analysis, &truth)?;
+        }
     }
+    Ok(())
+}
+
+/// The simulated node on the same recordings.
+fn print_node(
+    identified: &IdentifiedSite,
+    analysis: &Analysis,
+    truth: &Truth,
+) -> Result<(), Box<dyn std::error::Error>> {
+    let package = package(identified, &Silent)?;
+    let records = records(identified.site, &package.bytes, &Silent)?;
+    if records.len() != analysis.passages.len() {
+        println!("  node: {} records of {} passages", records.len(), analysis.passages.len());
+        return Ok(());
+    }
+    let s = score_node(&records, analysis, truth);
+    let apart: Vec<f64> = s.against_host.iter().map(|d| d.abs()).collect();
+    println!(
+        "  node {:.2} / {:.2} %, from the host {:.2} / {:.2} % (mean {:+.2} %); in interval {:.0} %, without forces {} of {} wheels, trains in which it clips {}",
+        100.0 * Score::median(&s.peak),
+        100.0 * Score::p90(&s.peak),
+        100.0 * Score::median(&apart),
+        100.0 * Score::p90(&apart),
+        100.0 * s.against_host.iter().sum::<f64>() / apart.len().max(1) as f64,
+        100.0 * s.coverage,
+        s.missing,
+        s.missing + s.peak.len(),
+        package.beyond_m_s2.len(),
+    );
     Ok(())
 }

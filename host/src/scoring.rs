@@ -1,5 +1,7 @@
 //! Results against known truth: for verification, tests and the demo only. Nothing in the analysis calls this.
 
+use cpcm_shared::record::Record;
+
 use crate::analysis::{Analysis, Interval};
 use crate::forces::{LOW_PASS_HZ, slope_per_m};
 use crate::recording::Crossing;
@@ -80,6 +82,54 @@ impl Score {
     pub fn p90(values: &[f64]) -> f64 {
         quantile(values, 0.9)
     }
+}
+
+/// What a node reports, against the truth and against the host.
+#[derive(Clone, Debug, Default)]
+pub struct NodeScore {
+    /// |peak error| relative to the true peak, one per wheelset with forces.
+    pub peak: Vec<f64>,
+    /// Peak over the host's, less one; in the same order.
+    pub against_host: Vec<f64>,
+    /// Width of the peak's interval over that of the host's, in the same order.
+    pub width: Vec<f64>,
+    /// Share of the true peaks inside the node's 90 % intervals.
+    pub coverage: f64,
+    /// Wheelsets of which the node gives no forces.
+    pub missing: usize,
+}
+
+/// Compares the records of a node, one per passage of the analysis and in its order, with the truth of the site.
+pub fn score_node(records: &[Record], analysis: &Analysis, truth: &Truth) -> NodeScore {
+    let mut score = NodeScore::default();
+    let mut inside = 0usize;
+    for (i, passage) in analysis.passages.iter().enumerate() {
+        for host in &passage.wheelsets {
+            let Some(known) = truth_of(truth, passage.passage_id, host.wheelset, Side::Crossing) else {
+                continue;
+            };
+            let Some(node) = records.get(i).and_then(|r| r.wheelsets.get(host.wheelset)) else {
+                score.missing += 1;
+                continue;
+            };
+            let (peak_n, half_n) = (f64::from(node.peak_force_n), f64::from(node.peak_half_width_n));
+            let true_n = true_peak_n(known, analysis);
+            let Interval { value, lower, upper } = host.peak_force_n;
+            score.peak.push((peak_n / true_n - 1.0).abs());
+            score.against_host.push(peak_n / value - 1.0);
+            score.width.push(2.0 * half_n / (upper - lower));
+            inside += usize::from((peak_n - true_n).abs() <= half_n);
+        }
+    }
+    score.coverage = inside as f64 / score.peak.len().max(1) as f64;
+    score
+}
+
+/// Largest true force of a wheel on the result grid, low-passed like the identified one, newtons.
+pub fn true_peak_n(wheel: &WheelTruth, analysis: &Analysis) -> f64 {
+    let static_force_n = stated_static_force_n(&analysis.crossing);
+    let true_n = true_force_n(wheel, &analysis.crossing, static_force_n, &analysis.indicators.position_m);
+    true_n.into_iter().fold(f64::NEG_INFINITY, f64::max)
 }
 
 /// Compares an analysis with the truth of its site.

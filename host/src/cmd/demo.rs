@@ -16,11 +16,10 @@ use crate::identify::identify;
 use crate::pipeline;
 use crate::recording::files::{create_dir, write_atomic};
 use crate::recording::read_site;
-use crate::recording::truth::{Side, Truth, WheelTruth, read_truth};
+use crate::recording::truth::{Side, Truth, read_truth};
 use crate::report::text::{PeakComparison, peak_summary, peak_table};
 use crate::results::write_results;
-use crate::scoring::true_force_n;
-use crate::vehicle::static_wheel_force_n;
+use crate::scoring::true_peak_n;
 
 /// Show the whole chain on a recorded crossing: calibrate, make a kernel, run the node, report
 ///
@@ -127,16 +126,6 @@ fn compare(analysis: &Analysis, records: &[Record], truth: &Truth) -> Vec<PeakCo
         }
     }
     rows
-}
-
-/// Largest true force on the result grid, newtons.
-fn true_peak_n(wheel: &WheelTruth, analysis: &Analysis) -> f64 {
-    let vehicle = &analysis.crossing.vehicle;
-    let static_force_n = static_wheel_force_n(vehicle.axle_load_kg, vehicle.gravity_m_s2);
-    let grid = &analysis.indicators.position_m;
-    true_force_n(wheel, &analysis.crossing, static_force_n, grid)
-        .into_iter()
-        .fold(f64::NEG_INFINITY, f64::max)
 }
 
 fn row_json(row: &PeakComparison) -> serde_json::Value {

@@ -225,9 +225,11 @@ impl NodeTrack<'_> {
             if most.outside_m_s.is_empty() {
                 break;
             }
-            let bins = self.bins_apart(step, site, recorded_m_s, progress)?;
-            if bins.outside_m_s.len() < most.outside_m_s.len() {
-                most = bins;
+            match self.bins_apart(step, site, recorded_m_s, progress) {
+                Ok(bins) if bins.outside_m_s.len() < most.outside_m_s.len() => most = bins,
+                // Between bins that are farther apart there may be no train at all.
+                Ok(_) | Err(KernelError::TooLarge { .. }) => {}
+                Err(error) => return Err(error),
             }
         }
         Ok(most)

@@ -186,6 +186,19 @@ fn regress_soft_ballast_is_not_taken_for_stiff() {
     assert!((p1 / 10.3e6 - 1.0).abs() < tolerance::P1_ON_SOFT_BALLAST);
 }
 
+/// Beside the sensor of this sleeper lay elements of 0.31 and 0.33 m, with the bed on their ends: the track answered 16 % too much at
+/// 240 Hz, and peaks came 2 % too low with half of the true ones inside their intervals.
+#[test]
+fn regress_sleepers_with_seats_and_sensor_anywhere_bend_as_they_do() {
+    let mut scenario = drawn_panel(801, 6, 8);
+    let ballast = &mut scenario.simulation.ballast;
+    (ballast.p1_n_m2, ballast.p2_n_m2, ballast.p3) = (25.0e6, 28.5e6, 0.49);
+    let score = scored(&scenario);
+    println!("mean peak {:+.4}, peaks inside {:.2}", score.mean_peak[0], score.peak_coverage);
+    assert!(score.mean_peak[0].abs() < score.mean_peak[1]);
+    assert!(score.peak_coverage > tolerance::INSIDE_ON_ANY_SLEEPER);
+}
+
 /// The node's windows hold frequencies that the host leaves out, and its kernel trusted the model there: peaks were 0.35 % below the host's
 /// on this panel, and one in four of those that the host's intervals hold lay outside its own.
 #[test]

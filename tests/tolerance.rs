@@ -190,3 +190,7 @@ pub const BESIDE_OTHERS: f64 = 1e-9;
 /// Depth of hollow wheels, relative: −10 to +1 % on seven sites of trials, four of them over voids or ballast that stiffens, and −22 %
 /// on one over the deepest void; by the linear response and a look in simulated wheels +34 and +30 % on two of them.
 pub const HOLLOW_DEPTH: f64 = 0.15;
+
+/// Part of the true peaks inside their 90 % intervals on a sleeper whose seats and sensor lie between the steps of the mesh: measured 1.00,
+/// with a longer element 0.53 to 0.6.
+pub const INSIDE_ON_ANY_SLEEPER: f64 = 0.85;

@@ -32,6 +32,10 @@ pub struct SleeperBeam {
     pub(crate) sensor: usize,
 }
 
+/// Length of the longest element over the step of the mesh. The bed sits on the nodes; with elements of up to 1.5 steps about the
+/// sensor the response at 240 Hz was 16 % too large on a sleeper of 2.85 m.
+const LONGEST: f64 = 1.2;
+
 /// Where things sit on a sleeper, metres from its end beyond the stock rail.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[allow(missing_docs)]
@@ -46,7 +50,7 @@ pub struct SleeperLayout {
 pub type Compliance = [[c64; 3]; 3];
 
 impl SleeperBeam {
-    /// Nodes at the ends, seats and sensor, with elements of about `step_m` between them.
+    /// Nodes at the ends, seats and sensor, with elements of about `step_m` between them, none longer than [`LONGEST`] of it.
     pub fn new(
         section: BeamSection,
         damping_stiffness_proportional_s: f64,
@@ -59,7 +63,8 @@ impl SleeperBeam {
         fixed.dedup_by(|a, b| (*a - *b).abs() < 1e-9);
         let mut y_m = vec![fixed[0]];
         for pair in fixed.windows(2) {
-            let parts = ((pair[1] - pair[0]) / step_m).round().max(1.0) as usize;
+            let steps = (pair[1] - pair[0]) / step_m;
+            let parts = steps.round().max((steps / LONGEST - 1e-9).ceil()).max(1.0) as usize;
             y_m.extend((1..=parts).map(|k| pair[0] + (pair[1] - pair[0]) * k as f64 / parts as f64));
         }
         let nearest = |y: f64| {
@@ -149,5 +154,43 @@ impl Sleeper {
                 (c, c.map(|row| row.map(|v| v * v * -*length_m)))
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A sleeper of 2.85 m with seats and sensor between the steps of the mesh.
+    fn beam(step_m: f64) -> SleeperBeam {
+        let section =
+            BeamSection { bending_n_m2: 3.4e6, shear_n: 5.1e8, mass_kg_m: 117.5, rotary_kg_m: 0.27 };
+        let layout = SleeperLayout {
+            length_m: 2.85,
+            seat_crossing_y_m: 1.914,
+            seat_stock_y_m: 0.414,
+            sensor_y_m: 2.526,
+        };
+        SleeperBeam::new(section, 1e-5, layout, step_m)
+    }
+
+    #[test]
+    fn property_no_element_is_much_longer_than_the_step() {
+        for step_m in [0.1, 0.2, 0.25] {
+            let nodes_m = beam(step_m).y_m;
+            let longest = nodes_m.windows(2).map(|n| n[1] - n[0]).fold(0.0, f64::max);
+            assert!(longest <= 1.2 * step_m + 1e-9, "{longest} m with {step_m} m");
+        }
+    }
+
+    /// From crossing seat to sensor at 240 Hz; with elements of 0.33 m beyond the sensor and 0.31 m before it 0.25.
+    #[test]
+    fn regress_response_between_the_steps_of_the_mesh() {
+        let omega = std::f64::consts::TAU * 240.0;
+        let across = |step_m: f64| beam(step_m).compliance(omega, c64::new(25e6, 125e3 * omega))[0][2];
+        let (usual, fine) = (across(0.25), across(0.02));
+        let error = (usual - fine).norm() / fine.norm();
+        println!("{error:.4}");
+        assert!(error < 0.1, "{error}");
     }
 }

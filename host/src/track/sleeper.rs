@@ -50,7 +50,7 @@ pub struct SleeperLayout {
 pub type Compliance = [[c64; 3]; 3];
 
 impl SleeperBeam {
-    /// Nodes at the ends, seats and sensor, with elements of about `step_m` between them, none longer than [`LONGEST`] of it.
+    /// Nodes at the ends, seats and sensor, with elements of about `step_m` between them, none longer than 1.2 times that.
     pub fn new(
         section: BeamSection,
         damping_stiffness_proportional_s: f64,

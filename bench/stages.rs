@@ -57,7 +57,7 @@ fn of_ballast(group: &mut Stages, identified: &IdentifiedSite) {
         .zip(&identified.static_force_n)
         .map(|((recording, timing), force)| (recording, timing.speed_m_s, *force))
         .collect();
-    let start = BallastParameters { p1_n_m2: 30e6, p2_n_m2: 25e6, p3: 0.4 };
+    let start = BallastParameters::NOMINAL;
     let (track, pattern) = (&identified.track, &identified.pattern);
     group.bench_function("quasi-static fit, 24 passages", |b| {
         b.iter(|| QuasiStatic::new(track, identified.direction, pattern, &inputs).fit(start))

@@ -124,6 +124,39 @@ fn regress_recordings_that_clip_below_the_stated_range_are_flagged() {
     assert_eq!(clipped(&run().analysis).0, 0);
 }
 
+/// Nobody measures the damping of a bed. With 0.7 and 1.4 times the true one in crossing.toml peaks were 7.2 and 11.9 % wrong, and hardly one
+/// inside its interval.
+#[test]
+fn reference_damping_that_is_described_wrong_is_found() {
+    let Run { site, truth, analysis, .. } = run();
+    assert!(!analysis.ballast.damping.doubtful, "{:?}", analysis.ballast.damping);
+    for factor in [0.7, 1.4] {
+        let mut other = site.clone();
+        other.crossing.ballast.damping_ns_m2 *= factor;
+        let identified = identify(&other, &Silent).unwrap();
+        let analysis = pipeline::evaluate(&identified, &Silent).unwrap();
+        let package = pipeline::package(&identified, &Silent).unwrap();
+        let damping = analysis.ballast.damping;
+        let found = damping.recorded_ns_m2;
+        let scored = score(&analysis, truth);
+        let (peaks, _) = told(&format!("damping × {factor}, peaks"), &scored.peak);
+        let records = cpcm::node_sim::records(&other, &package.bytes, &Silent).unwrap();
+        let (node, _) = told("the node's", &score_node(&records, &analysis, truth).peak);
+        println!(
+            "{:.3} inside, mean {:+.4} ± {:.4}; found: {damping:?}",
+            scored.peak_coverage, scored.mean_peak[0], scored.mean_peak[1]
+        );
+        assert!(scored.mean_peak[0].abs() < scored.mean_peak[1], "{:?}", scored.mean_peak);
+        assert!(
+            damping.doubtful && (damping.used_ns_m2 / found.value - 1.0).abs() < tolerance::ROUNDING,
+            "{damping:?}"
+        );
+        assert!((found.lower..=found.upper).contains(&site.crossing.ballast.damping_ns_m2), "{damping:?}");
+        assert!(peaks < tolerance::PEAK_ON_FOUND_DAMPING, "{factor}: {peaks}");
+        assert!(node < tolerance::PEAK_ON_FOUND_DAMPING, "{factor}: {node}");
+    }
+}
+
 /// All three sites, over stiff and soft pads and with wheels that lose contact, against what is asked of the method.
 #[test]
 fn reference_every_site_is_identified_within_its_intervals() {

@@ -5,7 +5,8 @@
 use std::path::{Path, PathBuf};
 
 use cpcm::analysis::{
-    Analysis, BallastEstimate, Condition, Indicators, Interval, PassageResult, Spread, WheelsetResult,
+    Analysis, BallastEstimate, Condition, DampingEstimate, Indicators, Interval, PassageResult, Spread,
+    WheelsetResult,
 };
 use cpcm::recording::truth::{Side, Truth, WheelTruth, read_truth};
 use cpcm::recording::{Passage, Scan, Site, read_site};
@@ -63,6 +64,12 @@ fn ballast(truth: &Truth) -> BallastEstimate {
         p1_n_m2: around(p1, 0.02),
         p2_n_m2: around(p2, 0.05),
         p3: around(p3, 0.5),
+        damping: DampingEstimate {
+            described_ns_m2: 125e3,
+            recorded_ns_m2: around(125e3, 0.1),
+            used_ns_m2: 125e3,
+            doubtful: false,
+        },
         stiffness_n_m2: b
             .stiffness_n_m2
             .iter()

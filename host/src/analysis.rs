@@ -66,7 +66,7 @@ pub struct Interval {
     pub upper: f64,
 }
 
-/// Ballast stiffness per sleeper and its three parameters (paper, section 3.1).
+/// Ballast: stiffness per sleeper and its three parameters (paper, section 3.1), and damping.
 #[derive(Clone, Debug)]
 pub struct BallastEstimate {
     /// Outer stiffness p1, N/m².
@@ -75,10 +75,25 @@ pub struct BallastEstimate {
     pub p2_n_m2: Interval,
     /// Shape p3 in 0 … 1.
     pub p3: Interval,
+    /// Damping.
+    pub damping: DampingEstimate,
     /// Per sleeper, N/m², index = sleeper number.
     pub stiffness_n_m2: Vec<Interval>,
     /// Residual displacement misfit of the calibrated model over the measured displacement, RMS ratio.
     pub misfit: f64,
+}
+
+/// Damping of the ballast per metre of sleeper.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DampingEstimate {
+    /// That of crossing.toml, Ns/m².
+    pub described_ns_m2: f64,
+    /// What the recordings speak for, Ns/m².
+    pub recorded_ns_m2: Interval,
+    /// What everything else was found with, Ns/m²: that of crossing.toml, or, where that is wrong by a quarter and more, the recorded one.
+    pub used_ns_m2: f64,
+    /// The recordings contradict crossing.toml.
+    pub doubtful: bool,
 }
 
 /// One train passage.

@@ -233,13 +233,13 @@ fn causes_of(
     let gains = estimator.gains(position_m, LOW_PASS_HZ, class.profile());
     let ballast = ballast_sensitivity(site, class, &geometry, position_m)?;
     let profile_covariance = class.profile_covariance();
-    let known = site.ballast.covariance_matrix();
+    let known = &site.ballast.covariance;
     let position_sd_m = position_sd_m(site, index);
     let causes = gains.into_iter().zip(ballast).map(|(axle, ballast_n)| {
         let slope = slope_per_m(position_m, &axle.base_n);
         let AxleGain { base_n, sd_n: own_n, profile, .. } = axle;
         let profile_n = deviations(&profile, &(&profile * profile_covariance));
-        let of_ballast_n = deviations(&ballast_n, &(&ballast_n * &known));
+        let of_ballast_n = deviations(&ballast_n, &(&ballast_n * known));
         let parts = [&own_n, &profile_n, &of_ballast_n];
         let unshifted = |i: usize| parts.iter().map(|p| p[i].powi(2)).sum::<f64>().sqrt();
         let unshifted_n: Vec<f64> = (0..position_m.len()).map(unshifted).collect();
@@ -255,7 +255,7 @@ pub fn position_sd_m(site: &IdentifiedSite, index: usize) -> f64 {
     site.ballast.shift_sd_m.hypot(LAG_SD_S * site.timings[index].speed_m_s)
 }
 
-/// Change of the forces of every axle per (ln p1, ln p2, p3), newtons, if every wheel stood for itself: what a wrong ballast
+/// Change of the forces of every axle per entry of the ballast's vector, newtons, if every wheel stood for itself: what a wrong ballast
 /// puts into all wheels alike, the common profile takes over as well.
 fn ballast_sensitivity(
     site: &IdentifiedSite,
@@ -264,11 +264,12 @@ fn ballast_sensitivity(
     position_m: &[f64],
 ) -> Result<Vec<Mat<f64>>, InverseError> {
     let prior = class.prior.with_common_as_own();
-    let moved =
-        site.nearby_greens.each_ref().map(|(greens, _)| TrackModel { greens, excitation: Excitation::Force });
+    let nearby = site.nearby_greens.iter();
+    let moved: Vec<TrackModel> =
+        nearby.map(|(greens, _)| TrackModel { greens, excitation: Excitation::Force }).collect();
     let (estimator, expected) =
         Estimator::with_moved(&model(site), &moved, geometry, &prior, class.profile())?;
-    let mut columns: Mat<f64> = Mat::zeros(estimator.len(), 3);
+    let mut columns: Mat<f64> = Mat::zeros(estimator.len(), moved.len());
     for (k, (window, (_, step))) in expected.iter().zip(&site.nearby_greens).enumerate() {
         for (i, value) in window.iter().enumerate() {
             columns[(i, k)] = (value - estimator.expected_m_s2[i]) / step;

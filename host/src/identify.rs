@@ -10,7 +10,9 @@ mod sound;
 use rayon::prelude::*;
 
 use crate::ballast::BallastParameters;
-use crate::ballast::evidence::{Calibration, DIFFERENCE, EvidenceFit, EvidenceProblem, realign, temperature};
+use crate::ballast::evidence::{
+    Calibration, DIFFERENCE, Damping, EvidenceFit, EvidenceProblem, Unknown, realign, temperature,
+};
 use crate::ballast::quasi_static::QuasiStaticFit;
 use crate::greens::{Chain, GreensFunctions, GreensSampling, Quantity};
 use crate::inverse::hierarchy::{SiteModel, SitePassage, SitePosterior};
@@ -100,14 +102,16 @@ pub struct IdentifiedSite<'s> {
     pub quasi_static: QuasiStaticFit,
     /// Calibration by evidence.
     pub ballast: EvidenceFit,
+    /// What the recordings say of the damping, whether it was taken from crossing.toml or found.
+    pub damping: Damping,
     /// State of the calibration: ballast, common irregularity, prior at the low sampling.
     pub calibration: Calibration,
     /// Forces that trains of about the same speed share, slowest class first.
     pub classes: Vec<ForceClass>,
     /// Green's functions of the calibrated track.
     pub greens: GreensFunctions,
-    /// The same with each of (ln p1, ln p2, p3) moved by a step.
-    pub nearby_greens: [(GreensFunctions, f64); 3],
+    /// The same with each entry of the ballast's vector that was unknown moved by a step.
+    pub nearby_greens: Vec<(GreensFunctions, f64)>,
     /// What crossing.toml has otherwise than the recordings: then all of this means nothing.
     pub misdescription: Option<Misdescription>,
     /// Passages that the site was identified from, by their place in the site.
@@ -177,7 +181,8 @@ impl IdentifiedSite<'_> {
         progress: &dyn Progress,
     ) -> Result<Self, IdentifyError> {
         self.ballast.parameters = ballast;
-        (self.greens, self.nearby_greens) = calibrated_greens(&self.track, &ballast);
+        (self.greens, self.nearby_greens) =
+            calibrated_greens(&self.track, &ballast, self.calibration.unknown);
         let timings: Vec<Timing> = self.used.iter().map(|i| self.timings[*i]).collect();
         let mut passages = some_of(&self.used, &timings, &self.recordings, &self.static_force_n);
         (self.classes, _) =
@@ -270,7 +275,8 @@ pub fn identify<'s>(site: &'s Site, progress: &dyn Progress) -> Result<Identifie
     known.check_sign(&found.1, &descriptions)?;
     let OneWay { used, described, other, found } = known.one_way(found, &descriptions, progress)?;
     let misdescription = suspicion.filter(|s| descriptions.confirmed(*s, &known.heard(&used)));
-    let Found { start, calibration, ballast, greens, nearby_greens, classes, timings, misfit } = found;
+    let Found { start, calibration, ballast, damping, greens, nearby_greens, classes, timings, misfit } =
+        found;
     let track = descriptions.track().track.clone();
     let quiet: Vec<f64> = used.iter().map(|i| recordings[*i].quiet_rms_m_s2).collect();
     Ok(IdentifiedSite {
@@ -279,6 +285,7 @@ pub fn identify<'s>(site: &'s Site, progress: &dyn Progress) -> Result<Identifie
         static_force_n,
         quasi_static: start.quasi_static,
         ballast,
+        damping,
         calibration,
         classes,
         explained: explained(&used, &described, &misfit),
@@ -312,24 +319,20 @@ fn some_of<'r>(
     which.iter().zip(timings).map(passage).collect()
 }
 
-/// Green's functions on a ballast, and on ballast with each of (ln p1, ln p2, p3) moved by a step.
+/// Green's functions on a ballast, and on ballast with each entry of its vector that was unknown moved by a step.
 fn calibrated_greens(
     track: &Track,
     ballast: &BallastParameters,
-) -> (GreensFunctions, [(GreensFunctions, f64); 3]) {
+    unknown: Unknown,
+) -> (GreensFunctions, Vec<(GreensFunctions, f64)>) {
     let nearby = |k: usize| (wide_greens(track, &ballast.moved(k, DIFFERENCE[k])), DIFFERENCE[k]);
-    let ((greens, first), (second, third)) = rayon::join(
-        || rayon::join(|| wide_greens(track, ballast), || nearby(0)),
-        || rayon::join(|| nearby(1), || nearby(2)),
-    );
-    (greens, [first, second, third])
+    rayon::join(|| wide_greens(track, ballast), || (0..unknown.count()).into_par_iter().map(nearby).collect())
 }
 
 fn wide_greens(track: &Track, ballast: &BallastParameters) -> GreensFunctions {
-    let distribution = ballast.bed(track);
     GreensFunctions::new(
-        track,
-        &distribution,
+        &ballast.under(track),
+        &ballast.bed(track),
         GreensSampling::wide(),
         Quantity::Acceleration,
         &Chain::Corrected,

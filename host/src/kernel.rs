@@ -307,8 +307,9 @@ fn node_greens(site: &IdentifiedSite) -> GreensFunctions {
         raw_rate_hz: sensor.sample_rate_hz,
     };
     let sampling = GreensSampling { rate_hz: NODE_RATE_HZ, len: 512, band_hz: [430.0, 498.0] };
-    let distribution = site.ballast.parameters.bed(&site.track);
-    GreensFunctions::new(&site.track, &distribution, sampling, Quantity::Acceleration, &chain)
+    let ballast = &site.ballast.parameters;
+    let (track, bed) = (ballast.under(&site.track), ballast.bed(&site.track));
+    GreensFunctions::new(&track, &bed, sampling, Quantity::Acceleration, &chain)
 }
 
 /// Speeds of the passages that the model explains, m/s, ascending.

@@ -32,19 +32,19 @@ pub struct MeanErrors {
     pub irregularity_m: Vec<f64>,
 }
 
-/// Calibrated track and the same with each of (ln p1, ln p2, p3) moved by a step.
+/// Calibrated track and the same with each entry of the ballast's vector moved by a step.
 pub struct Tracks<'a> {
     /// Calibrated.
     pub calibrated: &'a Interaction,
     /// Moved, and the step.
-    pub moved: &'a [(Interaction, f64); 3],
+    pub moved: &'a [(Interaction, f64)],
 }
 
 /// What moves results on a grid of all wheels of one kind alike: a row per place on the grid.
 struct Moves {
     /// A column per entry of the common profile.
     profile: Mat<f64>,
-    /// A column for each of (ln p1, ln p2, p3).
+    /// A column per entry of the ballast's vector.
     ballast: Mat<f64>,
 }
 
@@ -143,13 +143,13 @@ impl Average<'_> {
             add(&mut classes[group.class], share * moves.profile);
             add(&mut ballast, share * moves.ballast);
         }
-        let known = self.site.ballast.covariance_matrix();
+        let known = &self.site.ballast.covariance;
         let of_class = |(class, moves): (usize, &Option<Mat<f64>>)| {
             let covariance = self.site.classes[class].profile_covariance();
             moves.as_ref().map(|m| deviations(m, &(m * covariance)))
         };
         let parts = classes.iter().enumerate().filter_map(of_class);
-        let parts: Vec<Vec<f64>> = parts.chain(ballast.map(|m| deviations(&m, &(&m * &known)))).collect();
+        let parts: Vec<Vec<f64>> = parts.chain(ballast.map(|m| deviations(&m, &(&m * known)))).collect();
         let count = parts.first().map_or(0, Vec::len);
         (0..count).map(|i| parts.iter().map(|p| p[i].powi(2)).sum::<f64>().sqrt()).collect()
     }
@@ -196,7 +196,7 @@ struct OfClass<'a> {
     vehicle: &'a Vehicle,
     static_force_n: f64,
     calibrated: Wheelset,
-    moved: [(Wheelset, f64); 3],
+    moved: Vec<(Wheelset, f64)>,
     /// From samples to the result grid.
     to_grid: Mat<f64>,
     /// The same in the band of the irregularity.
@@ -214,7 +214,7 @@ impl<'a> OfClass<'a> {
             vehicle: &site.site.crossing.vehicle,
             static_force_n: site.track.load_factor[0] * site.static_force_n[index],
             calibrated,
-            moved: tracks.moved.each_ref().map(|(interaction, step)| (wheelset(interaction), *step)),
+            moved: tracks.moved.iter().map(|(interaction, step)| (wheelset(interaction), *step)).collect(),
             to_band: &to_grid * band,
             to_grid,
         }

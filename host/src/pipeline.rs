@@ -2,11 +2,14 @@
 
 use std::sync::Arc;
 
+use faer::Mat;
 use rayon::prelude::*;
 
-use crate::analysis::{Analysis, BallastEstimate, Interval, PassageResult, WheelsetResult, explained};
+use crate::analysis::{
+    Analysis, BallastEstimate, DampingEstimate, Interval, PassageResult, WheelsetResult, explained,
+};
 use crate::ballast::BallastParameters;
-use crate::ballast::evidence::DIFFERENCE;
+use crate::ballast::evidence::{DIFFERENCE, Unknown};
 use crate::forces::{LOW_PASS_HZ, Spread, WheelForce, all_wheel_forces};
 use crate::greens::moving::{WheelPath, constant_force_response};
 use crate::greens::{Chain, GreensFunctions, GreensSampling, Quantity};
@@ -120,28 +123,25 @@ fn result_grid(identified: &IdentifiedSite) -> Vec<f64> {
     (0..count).map(|i| low + i as f64 * GRID_STEP_M).collect()
 }
 
-fn distribution(identified: &IdentifiedSite) -> Vec<f64> {
-    let track = &identified.track;
-    identified.ballast.parameters.bed(track)
-}
-
 /// Wheels on the calibrated track, at the time step of the forces, and on tracks close to it.
-pub(crate) fn interactions(identified: &IdentifiedSite) -> (Interaction, [(Interaction, f64); 3]) {
+pub(crate) fn interactions(identified: &IdentifiedSite) -> (Interaction, Vec<(Interaction, f64)>) {
     let (track, half_m) = (&identified.track, identified.half_m());
     let bogie = BogieResponses::new(&identified.site.crossing.vehicle, identified.greens.sampling);
     let bogie = Arc::new(bogie);
-    let on = |p: &BallastParameters| Interaction::new(track, &p.bed(track), &bogie, half_m);
+    let on = |p: &BallastParameters| Interaction::new(&p.under(track), &p.bed(track), &bogie, half_m);
     let ballast = &identified.ballast.parameters;
     let moved = |k: usize| (on(&ballast.moved(k, DIFFERENCE[k])), DIFFERENCE[k]);
-    let ((calibrated, first), (second, third)) =
-        rayon::join(|| rayon::join(|| on(ballast), || moved(0)), || rayon::join(|| moved(1), || moved(2)));
-    (calibrated, [first, second, third])
+    rayon::join(
+        || on(ballast),
+        || (0..identified.calibration.unknown.count()).into_par_iter().map(moved).collect(),
+    )
 }
 
 fn displacement_greens(identified: &IdentifiedSite) -> GreensFunctions {
+    let ballast = &identified.ballast.parameters;
     GreensFunctions::new(
-        &identified.track,
-        &distribution(identified),
+        &ballast.under(&identified.track),
+        &ballast.bed(&identified.track),
         DISPLACEMENT,
         Quantity::Displacement,
         &Chain::Corrected,
@@ -305,7 +305,7 @@ fn banded(scan: &Scan, speed_m_s: f64) -> Scan {
 fn ballast_estimate(identified: &IdentifiedSite, passages: &[PassageResult]) -> BallastEstimate {
     let fit = &identified.ballast;
     let p = fit.parameters;
-    let sd = |i: usize| HALF_WIDTH_90 * fit.covariance[i][i].sqrt();
+    let sd = |i: usize| HALF_WIDTH_90 * fit.covariance[(i, i)].sqrt();
     let log = |value: f64, i: usize| around(value, sd(i));
     let stiffness_n_m2 = sleeper_intervals(&p, &fit.covariance, &identified.track);
     let difference: Vec<f64> = explained(passages)
@@ -320,8 +320,20 @@ fn ballast_estimate(identified: &IdentifiedSite, passages: &[PassageResult]) -> 
         p1_n_m2: log(p.p1_n_m2, 0),
         p2_n_m2: log(p.p2_n_m2, 1),
         p3: Interval { value: p.p3, lower: (p.p3 - sd(2)).max(0.0), upper: (p.p3 + sd(2)).min(1.0) },
+        damping: damping_estimate(identified),
         stiffness_n_m2,
         misfit: mean(&difference),
+    }
+}
+
+/// Damping of the ballast of a site that has been identified.
+pub fn damping_estimate(identified: &IdentifiedSite) -> DampingEstimate {
+    let (described_ns_m2, says) = (identified.track.ballast_damping_ns_m2, identified.damping);
+    DampingEstimate {
+        described_ns_m2,
+        recorded_ns_m2: around(described_ns_m2 * says.off.exp(), HALF_WIDTH_90 * says.sd),
+        used_ns_m2: described_ns_m2 * identified.ballast.parameters.damping_factor,
+        doubtful: says.is_doubtful() || identified.calibration.unknown == Unknown::StiffnessAndDamping,
     }
 }
 
@@ -330,15 +342,15 @@ fn around(value: f64, half: f64) -> Interval {
     Interval { value, lower: value * (-half).exp(), upper: value * half.exp() }
 }
 
-/// Stiffness of every sleeper with the interval that follows from the covariance of (ln p1, ln p2, p3), to first order and in the
+/// Stiffness of every sleeper with the interval that follows from the covariance of the ballast's vector, to first order and in the
 /// logarithm, as those of p1 and p2 are.
-fn sleeper_intervals(p: &BallastParameters, covariance: &[[f64; 3]; 3], track: &Track) -> Vec<Interval> {
+fn sleeper_intervals(p: &BallastParameters, covariance: &Mat<f64>, track: &Track) -> Vec<Interval> {
     let slopes = p.bed_slopes(track);
     let interval = |(s, value): (usize, f64)| {
         let gradient = slopes.each_ref().map(|by| by[s] / value);
         let variance: f64 = (0..3)
             .flat_map(|i| (0..3).map(move |j| (i, j)))
-            .map(|(i, j)| gradient[i] * covariance[i][j] * gradient[j])
+            .map(|(i, j)| gradient[i] * covariance[(i, j)] * gradient[j])
             .sum();
         let half = HALF_WIDTH_90 * variance.max(0.0).sqrt();
         around(value, half)
@@ -364,8 +376,8 @@ mod tests {
         let mut crossing = reference().crossing;
         crossing.ballast.support_factor = vec![(4, 0.3)];
         let track = Track::of_crossing(&crossing, Mesh::default());
-        let p = BallastParameters { p1_n_m2: 30e6, p2_n_m2: 2e6, p3: 0.35 };
-        let covariance = [[0.01, 0.002, 0.0], [0.002, 0.25, 0.001], [0.0, 0.001, 0.0025]];
+        let p = BallastParameters::stiffness([30e6, 2e6, 0.35]);
+        let covariance = faer::mat![[0.01, 0.002, 0.0], [0.002, 0.25, 0.001], [0.0, 0.001, 0.0025]];
         let found = sleeper_intervals(&p, &covariance, &track);
         assert_eq!(found.iter().map(|i| i.value).collect::<Vec<_>>(), p.bed(&track));
         let middle = track.sensor_sleeper;

@@ -58,8 +58,8 @@ impl LowTrack {
     /// The same where nobody will ask for it again.
     pub fn passing_model(&self, ballast: &BallastParameters, half_m: f64) -> LowModel {
         let sensor = (Quantity::Acceleration, &Chain::Corrected);
-        let bed = ballast.bed(&self.track);
-        let (interaction, greens) = Interaction::and_sensor(&self.track, &bed, &self.bogie, half_m, sensor);
+        let (track, bed) = (ballast.under(&self.track), ballast.bed(&self.track));
+        let (interaction, greens) = Interaction::and_sensor(&track, &bed, &self.bogie, half_m, sensor);
         LowModel { greens, interaction }
     }
 

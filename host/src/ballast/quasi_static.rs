@@ -358,11 +358,11 @@ fn search_s(recording: &Recording, speed_m_s: f64, pattern: &AxlePattern) -> [f6
 
 /// The optimiser works on (ln p1, ln p2, p3), which keeps the stiffnesses positive.
 fn to_scaled(p: &BallastParameters) -> Vector3<f64> {
-    Vector3::from(p.to_vector())
+    Vector3::from(p.stiffness_vector())
 }
 
 fn from_scaled(z: &Vector3<f64>) -> BallastParameters {
-    BallastParameters::from_vector(&[z[0], z[1], z[2]])
+    BallastParameters::from_stiffness_vector([z[0], z[1], z[2]])
 }
 
 struct Problem<'p, 'a> {
@@ -424,7 +424,7 @@ mod tests {
             quiet_m2_s2: 0.0,
             pattern: model.frequency_hz.iter().map(|f| axles(*f)).collect(),
         };
-        let truth = BallastParameters { p1_n_m2: 34e6, p2_n_m2: 15e6, p3: 0.45 };
+        let truth = BallastParameters::stiffness([34e6, 15e6, 0.45]);
         let alone = QuasiStatic {
             passages: vec![out.clone()],
             frequency_hz: model.frequency_hz.clone(),
@@ -451,7 +451,7 @@ mod tests {
         let mut model =
             QuasiStatic { track: &track, direction: 1.0, frequency_hz, grid, passages: Vec::new() };
         model.passages = vec![passage(&model, 44.0, 0.6), passage(&model, 38.0, 0.7)];
-        let at = BallastParameters { p1_n_m2: 28e6, p2_n_m2: 20e6, p3: 0.4 };
+        let at = BallastParameters::stiffness([28e6, 20e6, 0.4]);
         let times = model.align(&at);
         let columns = model.slopes(&at, &times);
         for (k, (column, parameter)) in columns.iter().enumerate() {

@@ -128,7 +128,7 @@ fn calibrate(track: &Track, published: &Passages) -> BallastParameters {
     let pattern = AxlePattern { offset_m: vec![0.0, BOGIE_M] };
     let of_passages: Vec<(&Recording, f64, f64)> =
         recordings.iter().map(|r| (r, SPEED_M_S, WHEEL_N)).collect();
-    let start = BallastParameters { p1_n_m2: 40e6, p2_n_m2: 30e6, p3: 0.5 };
+    let start = BallastParameters::stiffness([40e6, 30e6, 0.5]);
     QuasiStatic::new(track, 1.0, &pattern, &of_passages).fit(start).parameters
 }
 

@@ -8,7 +8,7 @@ use clap::Args;
 use super::output::{print, warn, warn_skipped};
 use super::progress::Bar;
 use super::with_effects::Effects;
-use crate::analysis::{Analysis, Condition};
+use crate::analysis::{Analysis, Condition, DampingEstimate};
 use crate::gap::corrected::Purpose;
 use crate::limits::{MODEL_GAP, OTHER_DIRECTION, UNLIKE_DESCRIPTION, UNLIKE_MODEL};
 use crate::pipeline::{self, AnalyseOptions};
@@ -93,12 +93,34 @@ fn warn_unexplained(analysis: &Analysis) {
         ));
         return;
     }
+    if unlike.len() < all {
+        warn_of_damping(&analysis.ballast.damping);
+    }
     if unlike.len() < all && !flagged(MODEL_GAP).is_empty() {
         warn(&format!(
             "the calibrated model leaves more than three times the noise of quiet track (flag {MODEL_GAP}): something acts that it does \
              not hold, and forces may be wrong by more than their intervals; `cpcm diagnose` may say what"
         ));
     }
+}
+
+/// Says on standard error that crossing.toml states another damping than recordings speak for.
+pub(super) fn warn_of_damping(damping: &DampingEstimate) {
+    if !damping.doubtful {
+        return;
+    }
+    let recorded = damping.recorded_ns_m2;
+    let [described, value, lower, upper] =
+        [damping.described_ns_m2, recorded.value, recorded.lower, recorded.upper].map(|d| 1e-3 * d);
+    let used = match damping.used_ns_m2 == damping.described_ns_m2 {
+        true => "but the one described is used (peaks grow by 0.3 % per per cent of damping)",
+        false => "which is used",
+    };
+    warn(&format!(
+        "the recordings contradict the damping of the ballast in crossing.toml, {described:.0} kNs/m² per metre of sleeper: they speak for \
+         {value:.0} (90 %: {lower:.0} … {upper:.0}), {used}; correct ballast.damping_ns_m2, or what else may be wrong: where the crossing part \
+         begins and ends, its stiffness, the sleepers"
+    ));
 }
 
 /// Condition, action and the numbers behind them, for the terminal.
@@ -111,6 +133,12 @@ pub(super) fn summary(analysis: &Analysis) -> String {
     };
     let (used, left_out) = analysis.used_and_left_out();
     let (f, r, b) = (i.peak_force_n, i.irregularity_rms_m, &analysis.ballast);
+    let damping = match b.damping.doubtful {
+        true => {
+            format!("\n              damping {:.0} kNs/m² per metre of sleeper", 1e-3 * b.damping.used_ns_m2)
+        }
+        false => String::new(),
+    };
     let included: String = analysis.effects_included.iter().map(|e| format!("\nincluded      {e}")).collect();
     format!(
         "site          {}\ncondition     {condition}\nurgency       {}\naction        {}\n\
@@ -118,7 +146,7 @@ pub(super) fn summary(analysis: &Analysis) -> String {
          \x20             {:.0} … {:.0} kN in the middle 80 % of the wheels\n\
          irregularity  {:.0} µm RMS in the mean (90 %: {:.0} … {:.0}), threshold {:.0}\n\
          \x20             {:.0} … {:.0} µm in the middle 80 % of the wheels\n\
-         ballast       {:.1} MN/m² under the crossing (90 %: {:.1} … {:.1}), {:.1} elsewhere\n\
+         ballast       {:.1} MN/m² under the crossing (90 %: {:.1} … {:.1}), {:.1} elsewhere{damping}\n\
          passages      {} used, {} left out{included}",
         analysis.crossing.name,
         i.urgency,

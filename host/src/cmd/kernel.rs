@@ -6,12 +6,14 @@ use anyhow::Context;
 use clap::Args;
 use serde_json::json;
 
+use super::analyse::warn_of_damping;
 use super::output::{print, print_json, warn, warn_skipped};
 use super::progress::Bar;
 use super::with_effects::Effects;
 use crate::gap::corrected::Purpose;
+use crate::identify::identify;
 use crate::kernel::SENSOR_RANGE_M_S2;
-use crate::pipeline::{self, AnalyseOptions};
+use crate::pipeline;
 use crate::recording::files::{check_file, write_atomic};
 use crate::recording::read_site;
 
@@ -40,8 +42,12 @@ impl KernelArgs {
         let read = site.skipped.len();
         let (site, included) = self.effects.included_in(site, Purpose::Kernel)?;
         warn_skipped(&site.skipped[read..]);
-        let package = pipeline::kernel(&site, &AnalyseOptions::default(), &Bar::new())
-            .with_context(|| format!("cannot make a kernel for site {}", self.site.display()))?;
+        let bar = Bar::new();
+        let cannot = || format!("cannot make a kernel for site {}", self.site.display());
+        let identified = identify(&site, &bar).with_context(cannot)?;
+        let package = pipeline::package(&identified, &bar).with_context(cannot)?;
+        drop(bar);
+        warn_of_damping(&pipeline::damping_estimate(&identified));
         write_atomic(&self.out, &package.bytes).context("cannot write the kernel package")?;
         if let [slowest, .., fastest] | [slowest @ fastest] = &package.outside_m_s[..] {
             warn(&format!(

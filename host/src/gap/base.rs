@@ -7,13 +7,14 @@ use super::GapError;
 use super::data::{Observed, window_m};
 use super::effect::Effect;
 use super::envelopes::ahead_m;
-use super::fit::{Fit, FitOptions, Frame, Recall, State, fit, settled, values};
+use super::fit::{Fit, FitOptions, Frame, Recall, State, damping, fit, settled, values};
 use super::forward::{Detail, Response, Simulator, sleepers_on};
 use super::linear::{BogieResponses, Linear};
 use super::splines::{PathSplines, matern};
 use super::variation::{OwnIrregularity, Shapes, Variation, estimate, scatter};
 use super::world::{Bed, Path, SensorModel, Wheels, World};
 use crate::ballast::BallastParameters;
+use crate::ballast::evidence::Unknown;
 use crate::ballast::quasi_static::QuasiStatic;
 use crate::passage::Profile;
 use crate::reconstruct::{ABOUT, FARTHEST_HIT_M, Recording, SPEEDS_M_S, SpeedSearch, comb, estimate_speed};
@@ -303,8 +304,15 @@ pub fn base(
         Some(_) => observed.iter().map(|o| BogieResponses::without_path(o.mean.len(), grids.len())).collect(),
     };
     let factors = rough_factors(&observed);
-    let mut frame =
-        Frame { base: world, observed, responses, factors, deviation_root, recall: Recall::default() };
+    let mut frame = Frame {
+        base: world,
+        observed,
+        responses,
+        factors,
+        deviation_root,
+        unknown: Unknown::Stiffness,
+        recall: Recall::default(),
+    };
     let state = State::start(&frame, &start);
     let options = FitOptions { steps: 5, renew: 3, tolerance: 3.0, damped: false, detail: Detail::Full };
     let first = fit(&frame, &[], state, search, options)?;
@@ -321,8 +329,29 @@ pub fn base(
     let fit = settled(&frame, &[], second.state, subset)?;
     if !given.effects.is_empty() {
         frame.base = without_effects(&frame.base, nominal()?, given.sensor);
+        return Ok(Base { frame, fit, variation, shapes, window_m: window });
     }
-    Ok(Base { frame, fit, variation, shapes, window_m: window })
+    let mut base = Base { frame, fit, variation, shapes, window_m: window };
+    find_damping(&mut base, subset, search)?;
+    Ok(base)
+}
+
+/// Where the damping of crossing.toml is wrong by far, it is unknown from here on, as in an analysis, if the base model is not lost then: what
+/// effects do to a model that is lost passes for damping, too.
+fn find_damping(base: &mut Base, subset: &[usize], search: &[usize]) -> Result<(), GapError> {
+    base.frame.unknown = Unknown::StiffnessAndDamping;
+    let says = damping(&base.frame, &base.fit.state, search)?;
+    if says.is_doubtful() {
+        let found = settled(&base.frame, &[], base.fit.state.clone(), search)?;
+        let off = found.state.ballast().damping_factor.ln();
+        if says.at(off).is_wrong() && !found.lost() {
+            relinearise(base, &[], &found.state, search)?;
+            base.fit = settled(&base.frame, &[], found.state, subset)?;
+            return Ok(());
+        }
+    }
+    base.frame.unknown = Unknown::Stiffness;
+    Ok(())
 }
 
 /// A world of which only the path's grid and how wheels differ are kept.

@@ -1,7 +1,7 @@
 //! Joint fit of the base model and a set of effects: Gauss-Newton steps on the simulated passages, everything else
 //! linear and Gaussian.
 //!
-//! Unknown are the deviation of the path from the scan (both rails), the three ballast parameters, a common and one own
+//! Unknown are the deviation of the path from the scan (both rails), the ballast's stiffness and damping, a common and one own
 //! position error per passage, and the parameters of the effects. The simulation is exact in all of them; its derivatives
 //! are differences, except those for the path, which come from the linear model once per site.
 
@@ -20,7 +20,7 @@ use faer::{Mat, MatRef};
 use rayon::prelude::*;
 
 use self::nearby::Nearby;
-use self::priors::{BALLAST_PRIOR, SHIFT_SD_M, add_prior, common_shift, prior_cost};
+use self::priors::{SHIFT_SD_M, add_prior, ballast_priors, common_shift, prior_cost};
 use self::recall::simulate_in;
 use super::GapError;
 use super::data::Observed;
@@ -28,7 +28,8 @@ use super::effect::Effect;
 use super::forward::{Detail, Response};
 use super::linear::BogieResponses;
 use super::world::{SensorModel, World};
-use crate::ballast::BallastParameters;
+use crate::ballast::evidence::{Damping, Unknown};
+use crate::ballast::{BallastParameters, UNKNOWNS};
 use crate::signal::sum_in_order;
 
 /// Everything that stays fixed during the fits of one site.
@@ -43,6 +44,8 @@ pub struct Frame {
     pub factors: Vec<Llt<f64>>,
     /// Factor of the prior covariance of the path's deviation.
     pub deviation_root: Mat<f64>,
+    /// What of the ballast is unknown.
+    pub unknown: Unknown,
     /// What was simulated lately.
     pub recall: Recall,
 }
@@ -52,8 +55,8 @@ pub struct Frame {
 pub struct State {
     /// Deviation of the path, spline coefficients, metres.
     pub deviation_m: Vec<f64>,
-    /// ln p1, ln p2, p3.
-    pub ballast: [f64; 3],
+    /// [`BallastParameters::to_vector`].
+    pub ballast: [f64; UNKNOWNS],
     /// Position error of every passage, metres: the train is later by this.
     pub shift_m: Vec<f64>,
     /// Coordinates of the effects' parameters, one list per effect.
@@ -114,9 +117,9 @@ impl Whitened {
 }
 
 /// Steps of the numerical derivatives.
-const BALLAST_STEP: [f64; 3] = [0.04, 0.04, 0.04];
-/// Longest step of a fit: a factor of two in stiffness, a fifth of the range of the shape.
-const BALLAST_STRIDE: [f64; 3] = [0.7, 0.7, 0.2];
+const BALLAST_STEP: [f64; UNKNOWNS] = [0.04, 0.04, 0.04, 0.1];
+/// Longest step of a fit: a factor of two in stiffness, a fifth of the range of the shape, a factor of 1.6 in damping.
+const BALLAST_STRIDE: [f64; UNKNOWNS] = [0.7, 0.7, 0.2, 0.5];
 /// Step for the derivative by position, metres.
 const SHIFT_STEP_M: f64 = 2e-4;
 
@@ -208,12 +211,25 @@ impl Evaluation {
 /// Numbers of unknowns: path, then ballast, common shift, effects.
 struct Shape {
     path: usize,
+    ballast: usize,
     effects: usize,
 }
 
 impl Shape {
     fn len(&self) -> usize {
-        self.path + 4 + self.effects
+        self.first_effect() + self.effects
+    }
+
+    fn of(frame: &Frame, effects: usize) -> Self {
+        Self { path: frame.deviation_root.nrows(), ballast: frame.unknown.count(), effects }
+    }
+
+    fn common_shift(&self) -> usize {
+        self.path + self.ballast
+    }
+
+    fn first_effect(&self) -> usize {
+        self.common_shift() + 1
     }
 }
 
@@ -259,10 +275,7 @@ pub fn fit(
     subset: &[usize],
     options: FitOptions,
 ) -> Result<Fit, GapError> {
-    let shape = Shape {
-        path: frame.deviation_root.nrows(),
-        effects: effects.iter().map(|e| e.parameters().len()).sum(),
-    };
+    let shape = Shape::of(frame, effects.iter().map(|e| e.parameters().len()).sum());
     let mut state = start;
     let mut here = Evaluation::new(frame, effects, &state, (subset, options.detail))?;
     let mut columns = derivatives(frame, effects, &state, subset, &here)?;
@@ -349,7 +362,7 @@ fn derivatives(
     here: &Evaluation,
 ) -> Result<Vec<Mat<f64>>, GapError> {
     let mut variants: Vec<(State, f64, bool)> = Vec::new();
-    for k in 0..3 {
+    for k in 0..frame.unknown.count() {
         let mut moved = state.clone();
         moved.ballast[k] += BALLAST_STEP[k];
         variants.push((moved, BALLAST_STEP[k], true));
@@ -417,7 +430,7 @@ fn whiten(frame: &Frame, subset: &[usize], columns: &[Mat<f64>], here: &Evaluati
             let all = Mat::from_fn(n, m + q, |k, c| if c < m { path[(k, c)] } else { columns[(k, c - m)] });
             let factor = &frame.factors[*i];
             let white = whitened(factor, &all);
-            let own = Mat::from_fn(n, 1, |k, _| white[(k, m + 3)]);
+            let own = Mat::from_fn(n, 1, |k, _| white[(k, m + frame.unknown.count())]);
             let residual = whitened(factor, &Mat::from_fn(n, 1, |k, _| residual[k]));
             (Whitened { index: *i, columns: white, residual }, own)
         })
@@ -508,19 +521,20 @@ fn moved(
     subset: &[usize],
 ) -> State {
     let mut next = state.clone();
-    let m = frame.deviation_root.nrows();
+    let shape = Shape::of(frame, 0);
+    let m = shape.path;
     let step = |i: usize| scale * by.joint[(i, 0)];
     for (i, d) in next.deviation_m.iter_mut().enumerate() {
         *d += step(i);
     }
-    for (k, b) in next.ballast.iter_mut().enumerate() {
+    for (k, b) in next.ballast.iter_mut().take(shape.ballast).enumerate() {
         let most = BALLAST_STRIDE[k];
         *b += step(m + k).clamp(-most, most);
     }
     for (i, own) in subset.iter().zip(&by.own_m) {
-        next.shift_m[*i] += step(m + 3) + scale * own;
+        next.shift_m[*i] += step(shape.common_shift()) + scale * own;
     }
-    let mut at = m + 4;
+    let mut at = shape.first_effect();
     for (e, effect) in effects.iter().enumerate() {
         for (k, p) in effect.parameters().iter().enumerate() {
             let most = 2.0 * p.prior.1;
@@ -550,10 +564,10 @@ fn finish(
     let l = factor.L();
     let log_det: f64 = (0..n).map(|i| l[(i, i)].ln()).sum();
     let prior_log_det: f64 = (0..m).map(|i| frame.deviation_root[(i, i)].ln()).sum::<f64>()
-        + BALLAST_PRIOR.iter().map(|p| p.1.ln()).sum::<f64>()
+        + ballast_priors(frame).map(|p| p.1.ln()).sum::<f64>()
         + SHIFT_SD_M.0.ln()
         + effects.iter().flat_map(|e| e.parameters()).map(|p| p.prior.1.ln()).sum::<f64>();
-    let wanted: Vec<usize> = (m..m + 3).chain(m + 4..n).collect();
+    let wanted: Vec<usize> = (m..shape.common_shift()).chain(shape.first_effect()..n).collect();
     let picked = Mat::from_fn(n, wanted.len(), |i, j| f64::from(u8::from(i == wanted[j])));
     let covariance = picked.transpose() * factor.solve(&picked);
     Ok(Fit {
@@ -563,6 +577,19 @@ fn finish(
         covariance,
         passages: linear.passages,
     })
+}
+
+/// What recordings say of the damping, around a state without effects; `frame` has it unknown.
+pub fn damping(frame: &Frame, state: &State, subset: &[usize]) -> Result<Damping, GapError> {
+    let here = Evaluation::new(frame, &[], state, (subset, Detail::Full))?;
+    let linear = whiten(frame, subset, &derivatives(frame, &[], state, subset, &here)?, &here);
+    let shape = Shape::of(frame, 0);
+    let normal = normal_equations(frame, &[], state, &shape, &linear, subset);
+    let change = normal.step([0.0; 2])?.joint;
+    let fit = finish(frame, &[], state.clone(), &shape, linear, here.cost, subset)?;
+    let k = shape.ballast - 1;
+    let sd = (fit.inflation() * fit.covariance[(k, k)]).max(0.0).sqrt();
+    Ok(Damping::new(change[(shape.path + k, 0)], sd))
 }
 
 fn dot(a: &Mat<f64>, b: &Mat<f64>) -> f64 {

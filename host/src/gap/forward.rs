@@ -355,7 +355,7 @@ pub fn sleepers_on(crossing: &Crossing, ballast: &BallastParameters) -> usize {
 pub(super) fn supports(world: &World, track: &Track) -> Vec<Support> {
     let n = track.sleeper_x_m.len();
     let distribution = world.ballast.bed(track);
-    let damping = world.crossing.ballast.damping_ns_m2;
+    let damping = world.ballast.damping_factor * world.crossing.ballast.damping_ns_m2;
     let mut supports: Vec<Support> = distribution.iter().map(|k| Support::linear(*k, damping)).collect();
     let at = |offset: i64| usize::try_from(track.sensor_sleeper as i64 + offset).ok().filter(|i| *i < n);
     for support in &mut supports {

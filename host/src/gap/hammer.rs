@@ -115,7 +115,8 @@ pub fn modelled(world: &World, frequency_hz: &[f64], x_m: f64) -> Result<Vec<c64
     let mut crossing = world.crossing.clone();
     let sleeper = &mut crossing.sleeper;
     sleeper.density_kg_m3 += world.bed.mass_kg_m / (sleeper.width_m * sleeper.height_m);
-    let track = Track::of_crossing(&crossing, Mesh::default());
+    let nominal = Track::of_crossing(&crossing, Mesh::default());
+    let track = world.ballast.under(&nominal);
     let ballast: Vec<f64> = super::forward::supports(world, &track)
         .iter()
         .map(|s| match s.law {
@@ -243,7 +244,7 @@ mod tests {
         let of = |pads: f64, p: f64| {
             let mut world = world();
             world.crossing.pad.stiffness_n_m *= pads;
-            world.ballast = BallastParameters { p1_n_m2: p, p2_n_m2: p, p3: 0.4 };
+            world.ballast = BallastParameters::stiffness([p, p, 0.4]);
             let receptance_m_n = modelled(&world, &lines, X_M).unwrap();
             let coherence = vec![1.0; lines.len()];
             let frequency_hz = lines.clone();

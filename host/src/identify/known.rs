@@ -6,7 +6,7 @@ use super::hits::{Hit, back_to_hits, together_m, usual_m};
 use super::sound::UNLIKE;
 use super::{HYPER_PASSAGES, IdentifyError, calibrated_greens, force_model, some_of, spread_out};
 use crate::ballast::BallastParameters;
-use crate::ballast::evidence::{Calibration, EvidenceFit, EvidenceProblem, Until, realign};
+use crate::ballast::evidence::{Calibration, Damping, EvidenceFit, EvidenceProblem, Unknown, Until, realign};
 use crate::ballast::quasi_static::{QuasiStatic, QuasiStaticFit};
 use crate::greens::{GreensFunctions, GreensSampling};
 use crate::inverse::hierarchy::SitePassage;
@@ -40,8 +40,9 @@ pub(super) struct Found {
     pub(super) start: Start,
     pub(super) calibration: Calibration,
     pub(super) ballast: EvidenceFit,
+    pub(super) damping: Damping,
     pub(super) greens: GreensFunctions,
-    pub(super) nearby_greens: [(GreensFunctions, f64); 3],
+    pub(super) nearby_greens: Vec<(GreensFunctions, f64)>,
     pub(super) classes: Vec<ForceClass>,
     pub(super) timings: Vec<Timing>,
     pub(super) misfit: Vec<f64>,
@@ -117,12 +118,13 @@ impl Known<'_> {
         progress: &dyn Progress,
     ) -> Result<Found, IdentifyError> {
         let mut passages = self.passages(which, &start.quasi_static.first_axle_s);
-        let (calibration, ballast) = calibrate(self.problem, &start, &mut passages, progress)?;
+        let (calibration, ballast, damping) = calibrate(self.problem, &start, &mut passages, progress)?;
         let EvidenceProblem { track, direction, pattern, .. } = self.problem;
-        let (greens, nearby_greens) = calibrated_greens(&track.track, &ballast.parameters);
+        let (greens, nearby_greens) =
+            calibrated_greens(&track.track, &ballast.parameters, calibration.unknown);
         let (classes, misfit) = forces_of_classes(&greens, *direction, pattern, &mut passages, progress)?;
         let timings = passages.iter().map(|p| p.timing).collect();
-        Ok(Found { start, calibration, ballast, greens, nearby_greens, classes, timings, misfit })
+        Ok(Found { start, calibration, ballast, damping, greens, nearby_greens, classes, timings, misfit })
     }
 
     /// Where the model explains next to nothing, it may be the sign; what clips hard seems to rise as well.
@@ -189,15 +191,40 @@ fn merged<T: Copy>(some: &[usize], of_some: &[T], others: &[usize], of_others: &
     all.into_iter().map(|(_, value)| value).collect()
 }
 
+/// With the damping as described, unless that is wrong by far. Noise and spread then hold what it leaves, so that all is found anew.
 fn calibrate(
     problem: &EvidenceProblem,
     start: &Start,
+    passages: &mut [SitePassage],
+    progress: &dyn Progress,
+) -> Result<(Calibration, EvidenceFit, Damping), IdentifyError> {
+    let mut described = passages.to_vec();
+    let (state, fit) = calibrate_unknown(problem, (start, Unknown::Stiffness), &mut described, progress)?;
+    let mut damping = problem.damping(&state, &described)?;
+    if damping.is_doubtful() {
+        let mut found = passages.to_vec();
+        let unknown = Unknown::StiffnessAndDamping;
+        let (free, free_fit) = calibrate_unknown(problem, (start, unknown), &mut found, progress)?;
+        damping = damping.borne_out(&free_fit, fit.log_evidence);
+        if damping.is_wrong() {
+            passages.copy_from_slice(&found);
+            return Ok((free, free_fit, damping));
+        }
+    }
+    passages.copy_from_slice(&described);
+    Ok((state, fit, damping))
+}
+
+fn calibrate_unknown(
+    problem: &EvidenceProblem,
+    (start, unknown): (&Start, Unknown),
     passages: &mut [SitePassage],
     progress: &dyn Progress,
 ) -> Result<(Calibration, EvidenceFit), IdentifyError> {
     progress.begin("ballast by evidence", 4);
     let slowest_m_s = passages.iter().map(|p| p.timing.speed_m_s).fold(f64::INFINITY, f64::min);
     let mut state = Calibration::starting(start.ballast(), problem.direction).felt_at(slowest_m_s);
+    state.unknown = unknown;
     if start.hidden {
         state.prior.noise_m_s2 = state.prior.noise_m_s2.max(sensor_noise_m_s2(passages));
     }

@@ -97,14 +97,19 @@ fn spread(s: Spread, factor: f64, unit: &str) -> String {
 }
 
 fn ballast(b: &BallastEstimate) -> (&'static str, String, String) {
+    let damping = match b.damping.doubtful {
+        true => format!("; damping {} kNs/m², not as described", interval(b.damping.recorded_ns_m2, 1e-3)),
+        false => String::new(),
+    };
     let detail = format!(
-        "90 %: {}; elsewhere {:.1} ({}); shape p3 {:.2} ({:.2}\u{2013}{:.2})",
+        "90 %: {}; elsewhere {:.1} ({}); shape p3 {:.2} ({:.2}\u{2013}{:.2}){}",
         interval(b.p2_n_m2, 1e-6),
         1e-6 * b.p1_n_m2.value,
         interval(b.p1_n_m2, 1e-6),
         b.p3.value,
         b.p3.lower,
-        b.p3.upper
+        b.p3.upper,
+        damping
     );
     ("Crossing ballast", format!("{:.1} MN/m²", 1e-6 * b.p2_n_m2.value), detail)
 }

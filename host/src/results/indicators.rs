@@ -42,7 +42,16 @@ struct Ballast {
     p1_n_m2: IntervalJson,
     p2_n_m2: IntervalJson,
     p3: IntervalJson,
+    damping: Damping,
     misfit: f64,
+}
+
+/// Per metre of sleeper.
+#[derive(Serialize)]
+struct Damping {
+    recorded_ns_m2: IntervalJson,
+    used_ns_m2: f64,
+    contradicts_description: bool,
 }
 
 /// A value with its 90 % interval.
@@ -95,6 +104,11 @@ pub(super) fn json(analysis: &Analysis) -> String {
             p1_n_m2: b.p1_n_m2.into(),
             p2_n_m2: b.p2_n_m2.into(),
             p3: b.p3.into(),
+            damping: Damping {
+                recorded_ns_m2: b.damping.recorded_ns_m2.into(),
+                used_ns_m2: b.damping.used_ns_m2,
+                contradicts_description: b.damping.doubtful,
+            },
             misfit: b.misfit,
         },
         passages: Passages {

@@ -85,8 +85,7 @@ impl<'a> World<'a> {
         };
         let mesh = Mesh { rail_step_m: s.solver.rail_step_m, sleeper_step_m: s.solver.sleeper_step_m };
         let track = Track::of_crossing(&real, mesh);
-        let ballast =
-            BallastParameters { p1_n_m2: s.ballast.p1_n_m2, p2_n_m2: s.ballast.p2_n_m2, p3: s.ballast.p3 };
+        let ballast = BallastParameters::stiffness([s.ballast.p1_n_m2, s.ballast.p2_n_m2, s.ballast.p3]);
         let mut ballast_n_m2 = ballast.bed(&track);
         let supports =
             supports(&mut ballast_n_m2, real.ballast.damping_ns_m2, &s.effects, track.sensor_sleeper);

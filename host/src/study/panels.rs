@@ -99,7 +99,7 @@ pub fn crossing(pads: PadCase, n_sleepers: usize) -> Crossing {
 
 /// p1, p2 in MN/m².
 fn ballast(p1: f64, p2: f64, p3: f64) -> BallastParameters {
-    BallastParameters { p1_n_m2: 1e6 * p1, p2_n_m2: 1e6 * p2, p3 }
+    BallastParameters::stiffness([1e6 * p1, 1e6 * p2, p3])
 }
 
 /// Dip and wear in mm; lengths of wing, nose and wear in metres.

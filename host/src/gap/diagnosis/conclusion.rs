@@ -309,7 +309,7 @@ pub(super) fn stated(effects: &[&dyn Effect], fit: &Fit) -> Vec<Vec<Stated>> {
 /// Parameters with intervals that are `width` times as wide as covariance and model error say.
 fn intervals(effects: &[&dyn Effect], fit: &Fit, width: f64) -> Vec<Vec<Stated>> {
     let widen = 1.645 * fit.inflation().sqrt();
-    let mut at = 3;
+    let mut at = fit.covariance.nrows() - fit.state.effects.iter().map(Vec::len).sum::<usize>();
     let of_effect = |(effect, coordinates): (&&dyn Effect, &Vec<f64>)| {
         let mut list = Vec::new();
         for (p, c) in effect.parameters().iter().zip(coordinates) {

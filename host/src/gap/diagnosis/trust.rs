@@ -3,6 +3,7 @@
 use rayon::prelude::*;
 
 use super::{PATH_PRIOR, Session};
+use crate::ballast::evidence::Unknown;
 use crate::gap::GapError;
 use crate::gap::base::{Base, Given, LEAST_SPEED_M_S, base, missed_at_best};
 use crate::gap::consistency::Strangers;
@@ -63,6 +64,14 @@ impl Session<'_> {
             say(&format!(
                 "passages {} are of other trains than the {kind} of crossing.toml, by whose axles they are judged: leave them out",
                 others.join(", ")
+            ));
+        }
+        if self.base.frame.unknown == Unknown::StiffnessAndDamping {
+            say(&format!(
+                "the recordings contradict the damping of the ballast in crossing.toml, {:.0} kNs/m² per metre of sleeper: before any effect \
+                 {:.2} times as much is found with the stiffness; state damping_ns_m2 if you know better",
+                1e-3 * site.crossing.ballast.damping_ns_m2,
+                self.base.fit.state.ballast().damping_factor
             ));
         }
         if observed.len() < 6 {

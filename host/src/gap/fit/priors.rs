@@ -3,13 +3,17 @@
 use faer::Mat;
 
 use super::{Frame, Shape, State, lower_solve};
+use crate::ballast::BallastParameters;
 use crate::gap::effect::Effect;
 use crate::track::Side;
 
-/// Prior of ln p1, ln p2 (30 MN/m² within a factor of about three, paper Table 1) and of the shape.
-pub(super) const BALLAST_PRIOR: [(f64, f64); 3] = [(17.2, 1.0), (17.2, 1.0), (0.4, 0.1)];
 /// Common and own position errors, metres.
 pub(super) const SHIFT_SD_M: (f64, f64) = (0.05, 0.02);
+
+/// Means and standard deviations of what is unknown of the ballast.
+pub(super) fn ballast_priors(frame: &Frame) -> impl Iterator<Item = (f64, f64)> {
+    BallastParameters::PRIOR.into_iter().take(frame.unknown.count())
+}
 
 /// Squares of the path's deviation per knot in units of its prior, crossing and stock side: about 1 or less when the path is
 /// what the prior says.
@@ -33,7 +37,7 @@ pub(super) fn prior_cost(frame: &Frame, effects: &[&dyn Effect], state: &State, 
     let square = |v: f64, (mean, sd): (f64, f64)| 0.5 * ((v - mean) / sd).powi(2);
     let white = whitened_deviation(frame, state);
     let path: f64 = 0.5 * white.col_as_slice(0).iter().map(|v| v * v).sum::<f64>();
-    let ballast: f64 = state.ballast.iter().zip(BALLAST_PRIOR).map(|(v, p)| square(*v, p)).sum();
+    let ballast: f64 = state.ballast.iter().zip(ballast_priors(frame)).map(|(v, p)| square(*v, p)).sum();
     let common = common_shift(state, subset);
     let shift: f64 = square(common, (0.0, SHIFT_SD_M.0))
         + subset.iter().map(|i| square(state.shift_m[*i] - common, (0.0, SHIFT_SD_M.1))).sum::<f64>();
@@ -76,11 +80,11 @@ pub(super) fn add_prior(
         information[(at, at)] += sd.powi(-2);
         vector[(at, 0)] += (mean - value) * sd.powi(-2);
     };
-    for k in 0..3 {
-        add(m + k, state.ballast[k], BALLAST_PRIOR[k]);
+    for (k, prior) in ballast_priors(frame).enumerate() {
+        add(m + k, state.ballast[k], prior);
     }
-    add(m + 3, common, (0.0, SHIFT_SD_M.0));
-    let mut at = m + 4;
+    add(shape.common_shift(), common, (0.0, SHIFT_SD_M.0));
+    let mut at = shape.first_effect();
     for (e, effect) in effects.iter().enumerate() {
         for (k, p) in effect.parameters().iter().enumerate() {
             add(at, state.effects[e][k], p.prior);

@@ -114,7 +114,7 @@ fn reduced(
     extra: usize,
 ) -> Result<(Mat<f64>, Mat<f64>), GapError> {
     let own_effects: usize = accepted.iter().map(|e| e.parameters().len()).sum();
-    let shape = Shape { path: frame.deviation_root.nrows(), effects: own_effects + extra };
+    let shape = Shape::of(frame, own_effects + extra);
     let normal = normal_equations(frame, accepted, state, &shape, linear, subset);
     let (n, m) = (shape.len(), shape.len() - extra);
     let h = &normal.hessian;

@@ -1,6 +1,6 @@
 //! A fit that does not end where a strained path has led it.
 
-use super::priors::{BALLAST_PRIOR, path_strain};
+use super::priors::path_strain;
 use super::{Evaluation, Fit, FitOptions, Frame, State, fit};
 use crate::ballast::BallastParameters;
 use crate::gap::GapError;
@@ -63,7 +63,7 @@ impl State {
 
     /// How far the shape of the ballast's distribution is from its prior mean, standard deviations.
     fn bed_off(&self) -> f64 {
-        let (mean, sd) = BALLAST_PRIOR[2];
+        let (mean, sd) = BallastParameters::PRIOR[2];
         (self.ballast[2] - mean).abs() / sd
     }
 
@@ -87,7 +87,7 @@ impl Fit {
 }
 
 fn unusual(shape: f64, shape_sd: f64) -> bool {
-    let (mean, sd) = BALLAST_PRIOR[2];
+    let (mean, sd) = BallastParameters::PRIOR[2];
     shape > mean + ODD_BED * sd || shape < mean - LEAST_BED * sd - shape_sd
 }
 

@@ -34,7 +34,7 @@ pub(super) fn calibrate(
     let mut observed: Vec<Observed> = all.iter().step_by(all.len().div_ceil(PASSAGES)).cloned().collect();
     let world = nominal_world(site, start)?;
     align(&world, &mut observed, window_of(&site.crossing))?;
-    let problem = Problem { world, observed, at: Vector3::from(start.to_vector()) };
+    let problem = Problem { world, observed, at: Vector3::from(start.stiffness_vector()) };
     let (problem, _) = LevenbergMarquardt::new().with_ftol(1e-6).with_xtol(1e-4).minimize(problem);
     Ok(Some(problem.ballast()))
 }
@@ -48,13 +48,15 @@ struct Problem {
 
 impl Problem {
     fn ballast(&self) -> BallastParameters {
-        BallastParameters::from_vector(&[self.at[0], self.at[1], self.at[2]])
+        BallastParameters::from_stiffness_vector([self.at[0], self.at[1], self.at[2]])
     }
 
     /// Differences of all passages, each relative to its measured displacement; `None` where the simulation fails.
     fn differences(&self, at: Vector3<f64>) -> Option<DVector<f64>> {
-        let world =
-            World { ballast: BallastParameters::from_vector(&[at[0], at[1], at[2]]), ..self.world.clone() };
+        let world = World {
+            ballast: BallastParameters::from_stiffness_vector([at[0], at[1], at[2]]),
+            ..self.world.clone()
+        };
         let of_passage = |o: &Observed| -> Option<Vec<f64>> {
             let response = Simulator::new(&world, o.axle_load_kg).ok()?.response(o.speed_m_s).ok()?;
             let [measured, modelled] = displacements(o, (&world, &response));

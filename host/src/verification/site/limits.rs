@@ -42,8 +42,8 @@ impl PeakLimits {
     ) -> Result<Self, VerifyError> {
         let [own, profile, ballast] = relative(&identified, analysis)?;
         let on_true_ballast = match reached.ballast_truth {
-            Some([p1_n_m2, p2_n_m2, p3]) => {
-                let known = BallastParameters { p1_n_m2, p2_n_m2, p3 };
+            Some(stiffness) => {
+                let known = BallastParameters::stiffness(stiffness);
                 let identified = identified.on_ballast(known, progress).map_err(PipelineError::from)?;
                 Some(score(&evaluate(&identified, progress)?, truth))
             }

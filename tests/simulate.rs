@@ -224,7 +224,7 @@ fn regress_node_concludes_nothing_from_beyond_the_hosts_band() {
 fn regress_kernel_of_slow_trains_has_room_for_them_all() {
     let scenario = drawn_panel(801, 4, 12);
     let site = simulate(&scenario, &Silent).unwrap().site;
-    let package = pipeline::kernel(&site, &AnalyseOptions::default(), &Silent).unwrap();
+    let package = pipeline::package(&identify(&site, &Silent).unwrap(), &Silent).unwrap();
     println!("{} bytes, {:?} m/s", package.bytes.len(), package.speeds_m_s);
     assert!(package.outside_m_s.is_empty(), "{:?}", package.outside_m_s);
 }

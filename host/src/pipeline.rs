@@ -9,7 +9,7 @@ use crate::analysis::{
     Analysis, BallastEstimate, DampingEstimate, Interval, PassageResult, WheelsetResult, explained,
 };
 use crate::ballast::BallastParameters;
-use crate::ballast::evidence::{DIFFERENCE, Unknown};
+use crate::ballast::evidence::DIFFERENCE;
 use crate::forces::{LOW_PASS_HZ, Spread, WheelForce, all_wheel_forces};
 use crate::greens::moving::{WheelPath, constant_force_response};
 use crate::greens::{Chain, GreensFunctions, GreensSampling, Quantity};
@@ -54,16 +54,6 @@ pub fn analyse(
 ) -> Result<Analysis, PipelineError> {
     let identified = identify(site, progress)?;
     evaluate(&identified, progress)
-}
-
-/// The kernel package for the node.
-pub fn kernel(
-    site: &Site,
-    _options: &AnalyseOptions,
-    progress: &dyn Progress,
-) -> Result<Package, PipelineError> {
-    let identified = identify(site, progress)?;
-    package(&identified, progress)
 }
 
 /// The kernel package of a site that has been identified.
@@ -333,7 +323,7 @@ pub fn damping_estimate(identified: &IdentifiedSite) -> DampingEstimate {
         described_ns_m2,
         recorded_ns_m2: around(described_ns_m2 * says.off.exp(), HALF_WIDTH_90 * says.sd),
         used_ns_m2: described_ns_m2 * identified.ballast.parameters.damping_factor,
-        doubtful: says.is_doubtful() || identified.calibration.unknown == Unknown::StiffnessAndDamping,
+        doubtful: says.is_doubtful(),
     }
 }
 

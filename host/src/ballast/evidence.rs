@@ -84,10 +84,10 @@ impl Damping {
         Self { off, sd: sd.hypot(MODEL_DAMPING_SD), doubted: true }
     }
 
-    /// As a calibration finds it that has it unknown; no doubt is left where that has not more evidence than the one `described`: what the
-    /// model does not hold, a sensor that clips, has then passed for damping.
-    pub fn borne_out(self, free: &EvidenceFit, described: f64) -> Self {
-        if free.log_evidence <= described {
+    /// As the calibration `free` finds it, which has it unknown. No doubt is left where that has no more evidence than `described_evidence`,
+    /// with the one described: what the model does not hold, as a sensor that clips, has then passed for damping.
+    pub fn borne_out(self, free: &EvidenceFit, described_evidence: f64) -> Self {
+        if free.log_evidence <= described_evidence {
             return Self { doubted: false, ..self };
         }
         let last = free.covariance.nrows() - 1;

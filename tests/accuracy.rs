@@ -124,13 +124,13 @@ fn regress_recordings_that_clip_below_the_stated_range_are_flagged() {
     assert_eq!(clipped(&run().analysis).0, 0);
 }
 
-/// Nobody measures the damping of a bed. With 0.7 and 1.4 times the true one in crossing.toml peaks were 7.2 and 11.9 % wrong, and hardly one
+/// Nobody measures the damping of a bed. With 0.7 and 1.4 times the true one in crossing.toml peaks were 7.2 and 11.9 % wrong, and none
 /// inside its interval.
 #[test]
 fn reference_damping_that_is_described_wrong_is_found() {
     let Run { site, truth, analysis, .. } = run();
-    assert!(!analysis.ballast.damping.doubtful, "{:?}", analysis.ballast.damping);
-    for factor in [0.7, 1.4] {
+    assert!(!analysis.ballast.damping.contradicts_description, "{:?}", analysis.ballast.damping);
+    for factor in [0.7, 1.2, 1.4] {
         let mut other = site.clone();
         other.crossing.ballast.damping_ns_m2 *= factor;
         let identified = identify(&other, &Silent).unwrap();
@@ -148,7 +148,8 @@ fn reference_damping_that_is_described_wrong_is_found() {
         );
         assert!(scored.mean_peak[0].abs() < scored.mean_peak[1], "{:?}", scored.mean_peak);
         assert!(
-            damping.doubtful && (damping.used_ns_m2 / found.value - 1.0).abs() < tolerance::ROUNDING,
+            damping.contradicts_description
+                && (damping.used_ns_m2 / found.value - 1.0).abs() < tolerance::ROUNDING,
             "{damping:?}"
         );
         assert!((found.lower..=found.upper).contains(&site.crossing.ballast.damping_ns_m2), "{damping:?}");

@@ -3,7 +3,7 @@
 use cpcm::analysis::{Analysis, Condition, PassageResult};
 use cpcm::identify::{Descriptions, Heard, IdentifyError, Misdescription, identify};
 use cpcm::kernel::KernelError;
-use cpcm::pipeline::{AnalyseOptions, PipelineError, analyse, evaluate, kernel, package};
+use cpcm::pipeline::{AnalyseOptions, PipelineError, analyse, evaluate, package};
 use cpcm::progress::Silent;
 use cpcm::reconstruct::{Recording, SpeedSearch, estimate_speed};
 use cpcm::recording::truth::read_truth;
@@ -161,7 +161,7 @@ fn property_a_sensor_on_the_next_sleeper_is_noticed() {
         let mut site = some_of(name, 3);
         let right_m = site.crossing.sensor_x_m();
         site.crossing.track.crossing_sleeper_x_m += along_m;
-        let refused = kernel(&site, &AnalyseOptions::default(), &Silent).unwrap_err();
+        let refused = package(&identify(&site, &Silent).unwrap(), &Silent).unwrap_err();
         let PipelineError::Kernel(KernelError::Misdescribed(Misdescription::SensorSleeper { x_m, .. })) =
             refused
         else {

@@ -123,9 +123,8 @@ fn said(found: &Analysis) -> String {
         return other.to_string();
     }
     let damping = &found.ballast.damping;
-    if damping.doubtful {
-        let [recorded, used] = [damping.recorded_ns_m2.value, damping.used_ns_m2].map(|d| 1e-3 * d);
-        return format!("damping rather {recorded:.0} kNs/m², {used:.0} used");
+    if damping.contradicts_description {
+        return format!("damping {:.0} kNs/m²", 1e-3 * damping.used_ns_m2);
     }
     let flagged = |flag: &str| found.passages.iter().filter(|p| p.has_flag(flag)).count();
     match [UNLIKE_MODEL, MODEL_GAP].into_iter().find(|flag| flagged(flag) > 0) {

@@ -90,10 +90,10 @@ pub struct DampingEstimate {
     pub described_ns_m2: f64,
     /// What the recordings speak for, Ns/m².
     pub recorded_ns_m2: Interval,
-    /// What everything else was found with, Ns/m²: that of crossing.toml, or, where that is wrong by a quarter and more, the recorded one.
+    /// What everything else was found with, Ns/m²: the described one, or, where the recordings contradict that, the recorded one.
     pub used_ns_m2: f64,
-    /// The recordings contradict crossing.toml.
-    pub doubtful: bool,
+    /// They do.
+    pub contradicts_description: bool,
 }
 
 /// One train passage.

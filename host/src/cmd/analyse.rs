@@ -106,19 +106,15 @@ fn warn_unexplained(analysis: &Analysis) {
 
 /// Says on standard error that crossing.toml states another damping than recordings speak for.
 pub(super) fn warn_of_damping(damping: &DampingEstimate) {
-    if !damping.doubtful {
+    if !damping.contradicts_description {
         return;
     }
     let recorded = damping.recorded_ns_m2;
     let [described, value, lower, upper] =
         [damping.described_ns_m2, recorded.value, recorded.lower, recorded.upper].map(|d| 1e-3 * d);
-    let used = match damping.used_ns_m2 == damping.described_ns_m2 {
-        true => "but the one described is used (peaks grow by 0.3 % per per cent of damping)",
-        false => "which is used",
-    };
     warn(&format!(
         "the recordings contradict the damping of the ballast in crossing.toml, {described:.0} kNs/m² per metre of sleeper: they speak for \
-         {value:.0} (90 %: {lower:.0} … {upper:.0}), {used}; correct ballast.damping_ns_m2, or what else may be wrong: where the crossing part \
+         {value:.0} (90 %: {lower:.0} … {upper:.0}), which is used; correct ballast.damping_ns_m2, or what else may be wrong: where the crossing part \
          begins and ends, its stiffness, the sleepers"
     ));
 }
@@ -133,7 +129,7 @@ pub(super) fn summary(analysis: &Analysis) -> String {
     };
     let (used, left_out) = analysis.used_and_left_out();
     let (f, r, b) = (i.peak_force_n, i.irregularity_rms_m, &analysis.ballast);
-    let damping = match b.damping.doubtful {
+    let damping = match b.damping.contradicts_description {
         true => {
             format!("\n              damping {:.0} kNs/m² per metre of sleeper", 1e-3 * b.damping.used_ns_m2)
         }

@@ -341,10 +341,10 @@ pub fn base(
 fn find_damping(base: &mut Base, subset: &[usize], search: &[usize]) -> Result<(), GapError> {
     base.frame.unknown = Unknown::StiffnessAndDamping;
     let says = damping(&base.frame, &base.fit.state, search)?;
-    if says.is_doubtful() {
+    if says.seems_far_off() {
         let found = settled(&base.frame, &[], base.fit.state.clone(), search)?;
         let off = found.state.ballast().damping_factor.ln();
-        if says.at(off).is_wrong() && !found.lost() {
+        if says.at(off).is_far_off() && !found.lost() {
             relinearise(base, &[], &found.state, search)?;
             base.fit = settled(&base.frame, &[], found.state, subset)?;
             return Ok(());

@@ -191,7 +191,7 @@ fn merged<T: Copy>(some: &[usize], of_some: &[T], others: &[usize], of_others: &
     all.into_iter().map(|(_, value)| value).collect()
 }
 
-/// With the damping as described, unless that is wrong by far. Noise and spread then hold what it leaves, so that all is found anew.
+/// With the damping as described, unless recordings contradict that. Noise and spread then hold what it leaves, so that all is found anew.
 fn calibrate(
     problem: &EvidenceProblem,
     start: &Start,
@@ -201,12 +201,15 @@ fn calibrate(
     let mut described = passages.to_vec();
     let (state, fit) = calibrate_unknown(problem, (start, Unknown::Stiffness), &mut described, progress)?;
     let mut damping = problem.damping(&state, &described)?;
-    if damping.is_doubtful() {
+    if damping.is_worth_a_look() {
         let mut found = passages.to_vec();
         let unknown = Unknown::StiffnessAndDamping;
         let (free, free_fit) = calibrate_unknown(problem, (start, unknown), &mut found, progress)?;
-        damping = damping.borne_out(&free_fit, fit.log_evidence);
-        if damping.is_wrong() {
+        let priors = [&state.prior, &free.prior];
+        let gained = problem.evidence_under(&priors, &free, &found)?
+            - problem.evidence_under(&priors, &state, &described)?;
+        damping = damping.borne_out(&free_fit, gained);
+        if damping.is_denied() {
             passages.copy_from_slice(&found);
             return Ok((free, free_fit, damping));
         }

@@ -26,7 +26,7 @@ pub const PEAK_P90: f64 = 0.05;
 pub const OTHER_RATE: f64 = 1e-3;
 /// The same number by another order of operations, relative.
 pub const ROUNDING: f64 = 1e-12;
-/// Median force peak error of reference-1 where the damping of the ballast is described wrong: 1.9 and 2.2 %, as it is found 5 % too high.
+/// Median force peak error of reference-1 where the damping of the ballast is described wrong: 1.9 to 2.4 %, as it is found 5 % too high.
 pub const PEAK_ON_FOUND_DAMPING: f64 = 0.035;
 /// Force peaks of few simulated trains, eight of two speeds or six of one car, relative, median: twice what was measured at two speeds.
 pub const PEAK_OF_FEW_TRAINS: f64 = 0.01;

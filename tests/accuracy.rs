@@ -129,7 +129,7 @@ fn regress_recordings_that_clip_below_the_stated_range_are_flagged() {
 #[test]
 fn reference_damping_that_is_described_wrong_is_found() {
     let Run { site, truth, analysis, .. } = run();
-    assert!(!analysis.ballast.damping.contradicts_description, "{:?}", analysis.ballast.damping);
+    assert!(!analysis.ballast.damping.contradicts_description(), "{:?}", analysis.ballast.damping);
     for factor in [0.7, 1.2, 1.4] {
         let mut other = site.clone();
         other.crossing.ballast.damping_ns_m2 *= factor;
@@ -148,7 +148,7 @@ fn reference_damping_that_is_described_wrong_is_found() {
         );
         assert!(scored.mean_peak[0].abs() < scored.mean_peak[1], "{:?}", scored.mean_peak);
         assert!(
-            damping.contradicts_description
+            damping.contradicts_description()
                 && (damping.used_ns_m2 / found.value - 1.0).abs() < tolerance::ROUNDING,
             "{damping:?}"
         );

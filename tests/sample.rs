@@ -68,7 +68,6 @@ fn ballast(truth: &Truth) -> BallastEstimate {
             described_ns_m2: 125e3,
             recorded_ns_m2: around(125e3, 0.1),
             used_ns_m2: 125e3,
-            contradicts_description: false,
         },
         stiffness_n_m2: b
             .stiffness_n_m2

@@ -123,7 +123,7 @@ fn said(found: &Analysis) -> String {
         return other.to_string();
     }
     let damping = &found.ballast.damping;
-    if damping.contradicts_description {
+    if damping.contradicts_description() {
         return format!("damping {:.0} kNs/m²", 1e-3 * damping.used_ns_m2);
     }
     let flagged = |flag: &str| found.passages.iter().filter(|p| p.has_flag(flag)).count();

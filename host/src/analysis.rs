@@ -92,8 +92,13 @@ pub struct DampingEstimate {
     pub recorded_ns_m2: Interval,
     /// What everything else was found with, Ns/m²: the described one, or, where the recordings contradict that, the recorded one.
     pub used_ns_m2: f64,
-    /// They do.
-    pub contradicts_description: bool,
+}
+
+impl DampingEstimate {
+    /// Whether the recordings contradict crossing.toml.
+    pub fn contradicts_description(&self) -> bool {
+        self.used_ns_m2 != self.described_ns_m2
+    }
 }
 
 /// One train passage.

@@ -1,5 +1,6 @@
 //! Ballast around the crossing: three-parameter distribution of its stiffness (paper, section 3.1), its damping, and their calibration.
 
+pub mod damping;
 pub mod evidence;
 pub mod low_track;
 pub mod quasi_static;

@@ -10,8 +10,9 @@ mod sound;
 use rayon::prelude::*;
 
 use crate::ballast::BallastParameters;
+use crate::ballast::damping::Damping;
 use crate::ballast::evidence::{
-    Calibration, DIFFERENCE, Damping, EvidenceFit, EvidenceProblem, Unknown, realign, temperature,
+    Calibration, DIFFERENCE, EvidenceFit, EvidenceProblem, Unknown, realign, temperature,
 };
 use crate::ballast::quasi_static::QuasiStaticFit;
 use crate::greens::{Chain, GreensFunctions, GreensSampling, Quantity};

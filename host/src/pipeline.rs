@@ -323,7 +323,6 @@ pub fn damping_estimate(identified: &IdentifiedSite) -> DampingEstimate {
         described_ns_m2,
         recorded_ns_m2: around(described_ns_m2 * says.off.exp(), HALF_WIDTH_90 * says.sd),
         used_ns_m2: described_ns_m2 * identified.ballast.parameters.damping_factor,
-        contradicts_description: says.is_denied(),
     }
 }
 

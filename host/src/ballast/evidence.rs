@@ -10,6 +10,7 @@ use std::sync::Arc;
 use faer::Mat;
 use rayon::prelude::*;
 
+use super::damping::{Damping, MODEL_DAMPING_SD};
 use super::low_track::{LowModel, LowTrack};
 use super::{BallastParameters, UNKNOWNS};
 use crate::inverse::hierarchy::{Moved, SiteModel, SitePassage, SitePosterior};
@@ -56,72 +57,6 @@ const TRUST: [f64; UNKNOWNS] = [0.3, 0.4, 0.2, 0.3];
 /// Limits of the factor on it: over next to no support the fit begins a factor of ten from where it ends, and goes to and fro at its
 /// end.
 const TRUST_FACTOR: [f64; 2] = [0.1, 2.0];
-
-/// Standard deviations of the logarithm of the damping from which on recordings contradict the one described, where a calibration without it
-/// has more evidence: sites as described are within 1.4 (19 recorded and simulated ones), and what effects do has less.
-const DENIED: f64 = 2.0;
-/// The same, to first order around the one described, from which on it is worth a calibration of its own: that sees about half of a large error.
-const WORTH_A_LOOK: f64 = 1.5;
-/// How far off it must be, in its logarithm, for a diagnosis to find it with the ballast: effects that its base model does not hold pass for
-/// less, heavier wheelsets for -0.18, load transfer for -0.10.
-const FAR_OFF: f64 = 0.25;
-/// What the model itself has wrong of its logarithm: on 16 simulated panels of other builds it is found 1.6 % too high in the mean, on the
-/// reference recordings 1 to 6 %.
-const MODEL_DAMPING_SD: f64 = 0.03;
-
-/// What recordings say of the damping of the ballast.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Damping {
-    /// Logarithm of the most probable one over the one described.
-    pub off: f64,
-    /// Its standard deviation.
-    pub sd: f64,
-    /// No calibration has failed to bear it out.
-    doubted: bool,
-}
-
-impl Damping {
-    /// `sd`: by noise; the model's own error comes on top.
-    pub fn new(off: f64, sd: f64) -> Self {
-        Self { off, sd: sd.hypot(MODEL_DAMPING_SD), doubted: true }
-    }
-
-    /// As the calibration `free` finds it, which has it unknown, and has `gained` so much evidence. No doubt is left where that is none: what
-    /// the model does not hold, as a sensor that clips, has then passed for damping.
-    pub fn borne_out(self, free: &EvidenceFit, gained: f64) -> Self {
-        if gained <= 0.0 {
-            return Self { doubted: false, ..self };
-        }
-        let last = free.covariance.nrows() - 1;
-        let sd = free.covariance[(last, last)].max(0.0).sqrt();
-        Self { off: free.parameters.damping_factor.ln(), sd, doubted: true }
-    }
-
-    /// The same where it is found elsewhere, as well told.
-    pub fn at(self, off: f64) -> Self {
-        Self { off, ..self }
-    }
-
-    /// Whether it is to be found by a calibration.
-    pub fn is_worth_a_look(&self) -> bool {
-        self.off.abs() > WORTH_A_LOOK * self.sd
-    }
-
-    /// Whether recordings contradict the one described.
-    pub fn is_denied(&self) -> bool {
-        self.doubted && self.off.abs() > DENIED * self.sd
-    }
-
-    /// Whether it may be far off, to first order.
-    pub fn seems_far_off(&self) -> bool {
-        self.is_denied() && self.off.abs() > 0.5 * FAR_OFF
-    }
-
-    /// Whether it is so far off that no effect passes for it.
-    pub fn is_far_off(&self) -> bool {
-        self.is_denied() && self.off.abs() > FAR_OFF
-    }
-}
 
 /// When linearising ends.
 #[derive(Clone, Copy, Debug)]
@@ -264,20 +199,32 @@ impl EvidenceProblem<'_> {
         state: &Calibration,
         passages: &[SitePassage],
     ) -> Result<SitePosterior, InverseError> {
-        let z = state.ballast.to_vector();
+        let (model, nearby) = self.models(state);
+        self.linearised(&model, &nearby, state).posterior(passages)
+    }
+
+    /// The track on the ballast of `state`, and with each unknown entry of that moved by a step.
+    fn models(&self, state: &Calibration) -> (Arc<LowModel>, Vec<LowModel>) {
         let half_m = state.prior.half_m;
         let beside = |k: usize| self.track.passing_model(&state.ballast.moved(k, DIFFERENCE[k]), half_m);
-        let (model, nearby) = rayon::join(
+        rayon::join(
             || self.low_model(state),
-            || (0..state.unknown.count()).into_par_iter().map(beside).collect::<Vec<LowModel>>(),
-        );
-        let moved =
-            nearby.iter().zip(BallastParameters::PRIOR).enumerate().map(|(k, (model, (mean, sd)))| Moved {
-                model: model.track_model(),
-                step: DIFFERENCE[k],
-                prior: (mean - z[k], sd),
-            });
-        self.site_model(&model, moved.collect(), &state.prior, &state.irregularity).posterior(passages)
+            || (0..state.unknown.count()).into_par_iter().map(beside).collect(),
+        )
+    }
+
+    fn linearised<'m>(
+        &'m self,
+        model: &'m LowModel,
+        nearby: &'m [LowModel],
+        state: &'m Calibration,
+    ) -> SiteModel<'m> {
+        let z = state.ballast.to_vector();
+        let moved = nearby.iter().enumerate().map(|(k, model)| {
+            let (mean, sd) = BallastParameters::PRIOR[k];
+            Moved { model: model.track_model(), step: DIFFERENCE[k], prior: (mean - z[k], sd) }
+        });
+        self.site_model(model, moved.collect(), &state.prior, &state.irregularity)
     }
 
     /// What recordings say of the damping, where `state` was found with the one described: to first order, which is too little where it is
@@ -297,9 +244,11 @@ impl EvidenceProblem<'_> {
         state: &Calibration,
         passages: &[SitePassage],
     ) -> Result<f64, InverseError> {
+        let (model, nearby) = self.models(state);
+        let site = self.linearised(&model, &nearby, state);
+        let prepared = site.prepared(passages)?;
         priors.iter().try_fold(f64::NEG_INFINITY, |best: f64, prior| {
-            let other = Calibration { prior: (*prior).clone(), ..state.clone() };
-            Ok(best.max(self.posterior(&other, passages)?.log_evidence))
+            Ok(best.max(SiteModel { prior, ..site.clone() }.log_evidence(&prepared)?))
         })
     }
 

@@ -93,10 +93,11 @@ fn warn_unexplained(analysis: &Analysis) {
         ));
         return;
     }
-    if unlike.len() < all {
-        warn_of_damping(&analysis.ballast.damping);
+    if unlike.len() == all {
+        return;
     }
-    if unlike.len() < all && !flagged(MODEL_GAP).is_empty() {
+    warn_of_damping(&analysis.ballast.damping);
+    if !flagged(MODEL_GAP).is_empty() {
         warn(&format!(
             "the calibrated model leaves more than three times the noise of quiet track (flag {MODEL_GAP}): something acts that it does \
              not hold, and forces may be wrong by more than their intervals; `cpcm diagnose` may say what"
@@ -106,7 +107,7 @@ fn warn_unexplained(analysis: &Analysis) {
 
 /// Says on standard error that crossing.toml states another damping than recordings speak for.
 pub(super) fn warn_of_damping(damping: &DampingEstimate) {
-    if !damping.contradicts_description {
+    if !damping.contradicts_description() {
         return;
     }
     let recorded = damping.recorded_ns_m2;
@@ -129,7 +130,7 @@ pub(super) fn summary(analysis: &Analysis) -> String {
     };
     let (used, left_out) = analysis.used_and_left_out();
     let (f, r, b) = (i.peak_force_n, i.irregularity_rms_m, &analysis.ballast);
-    let damping = match b.damping.contradicts_description {
+    let damping = match b.damping.contradicts_description() {
         true => {
             format!("\n              damping {:.0} kNs/m² per metre of sleeper", 1e-3 * b.damping.used_ns_m2)
         }

@@ -5,12 +5,15 @@
 //! position error per passage, and the parameters of the effects. The simulation is exact in all of them; its derivatives
 //! are differences, except those for the path, which come from the linear model once per site.
 
+mod damping;
 mod nearby;
+mod normal;
 mod priors;
 mod recall;
 mod screening;
 mod settled;
 
+pub use damping::damping;
 pub use recall::{Recall, simulate};
 pub use screening::{Direction, Screening, screen};
 pub use settled::{cost_in_place, replaced, settled};
@@ -20,7 +23,8 @@ use faer::{Mat, MatRef};
 use rayon::prelude::*;
 
 use self::nearby::Nearby;
-use self::priors::{SHIFT_SD_M, add_prior, ballast_priors, common_shift, prior_cost};
+use self::normal::{Normal, Step, dot, normal_equations};
+use self::priors::{SHIFT_SD_M, ballast_priors, prior_cost};
 use self::recall::simulate_in;
 use super::GapError;
 use super::data::Observed;
@@ -28,7 +32,7 @@ use super::effect::Effect;
 use super::forward::{Detail, Response};
 use super::linear::BogieResponses;
 use super::world::{SensorModel, World};
-use crate::ballast::evidence::{Damping, Unknown};
+use crate::ballast::evidence::Unknown;
 use crate::ballast::{BallastParameters, UNKNOWNS};
 use crate::signal::sum_in_order;
 
@@ -438,80 +442,6 @@ fn whiten(frame: &Frame, subset: &[usize], columns: &[Mat<f64>], here: &Evaluati
     Linearised { passages, own }
 }
 
-/// Normal equations of a Gauss-Newton step in path, ballast, common shift and effects.
-struct Normal {
-    /// Number of the path's unknowns, which come first.
-    path: usize,
-    hessian: Mat<f64>,
-    vector: Mat<f64>,
-    own: Vec<OwnShift>,
-}
-
-/// Own shift of one passage, eliminated from the equations: its precision, what couples it to the others, its right side.
-struct OwnShift {
-    precision: f64,
-    coupling: Mat<f64>,
-    value: f64,
-}
-
-/// Changes of path, ballast, common shift, effects, and the own shifts, metres.
-struct Step {
-    joint: Mat<f64>,
-    own_m: Vec<f64>,
-}
-
-impl Normal {
-    /// Step with the curvature along the path's unknowns, and along the others, larger by the parts `damping`.
-    fn step(&self, damping: [f64; 2]) -> Result<Step, GapError> {
-        let n = self.hessian.nrows();
-        let on_diagonal = |i: usize| 1.0 + damping[usize::from(i >= self.path)].max(1e-10);
-        let ridge =
-            Mat::from_fn(n, n, |i, j| self.hessian[(i, j)] * if i == j { on_diagonal(i) } else { 1.0 });
-        let factor = ridge
-            .llt(faer::Side::Lower)
-            .map_err(|_| GapError::Singular { what: "the joint fit of path, ballast and effects" })?;
-        let joint = factor.solve(&self.vector);
-        let own_m = self.own.iter().map(|o| (o.value - dot(&o.coupling, &joint)) / o.precision).collect();
-        Ok(Step { joint, own_m })
-    }
-}
-
-fn normal_equations(
-    frame: &Frame,
-    effects: &[&dyn Effect],
-    state: &State,
-    shape: &Shape,
-    linear: &Linearised,
-    subset: &[usize],
-) -> Normal {
-    let n = shape.len();
-    let mut hessian: Mat<f64> = Mat::zeros(n, n);
-    let mut vector: Mat<f64> = Mat::zeros(n, 1);
-    let common = common_shift(state, subset);
-    let precision_own = SHIFT_SD_M.1.powi(-2);
-    let parts: Vec<(Mat<f64>, Mat<f64>, OwnShift)> = linear
-        .passages
-        .par_iter()
-        .zip(&linear.own)
-        .map(|(p, own)| {
-            let mut gram = p.columns.transpose() * &p.columns;
-            let mut right = p.columns.transpose() * &p.residual;
-            let coupling = p.columns.transpose() * own;
-            let precision = squared(own) + precision_own;
-            let value = dot(own, &p.residual) - precision_own * (state.shift_m[p.index] - common);
-            gram -= &coupling * coupling.transpose() * faer::Scale(1.0 / precision);
-            right -= &coupling * faer::Scale(value / precision);
-            (gram, right, OwnShift { precision, coupling, value })
-        })
-        .collect();
-    for (gram, right, _) in &parts {
-        hessian += gram;
-        vector += right;
-    }
-    add_prior(frame, effects, state, shape, common, &mut hessian, &mut vector);
-    Normal { path: shape.path, hessian, vector, own: parts.into_iter().map(|(.., own)| own).collect() }
-}
-
 fn moved(
     frame: &Frame,
     effects: &[&dyn Effect],
@@ -577,27 +507,6 @@ fn finish(
         covariance,
         passages: linear.passages,
     })
-}
-
-/// What recordings say of the damping, around a state without effects; `frame` has it unknown.
-pub fn damping(frame: &Frame, state: &State, subset: &[usize]) -> Result<Damping, GapError> {
-    let here = Evaluation::new(frame, &[], state, (subset, Detail::Full))?;
-    let linear = whiten(frame, subset, &derivatives(frame, &[], state, subset, &here)?, &here);
-    let shape = Shape::of(frame, 0);
-    let normal = normal_equations(frame, &[], state, &shape, &linear, subset);
-    let change = normal.step([0.0; 2])?.joint;
-    let fit = finish(frame, &[], state.clone(), &shape, linear, here.cost, subset)?;
-    let k = shape.ballast - 1;
-    let sd = (fit.inflation() * fit.covariance[(k, k)]).max(0.0).sqrt();
-    Ok(Damping::new(change[(shape.path + k, 0)], sd))
-}
-
-fn dot(a: &Mat<f64>, b: &Mat<f64>) -> f64 {
-    crate::signal::dot(a.col_as_slice(0), b.col_as_slice(0))
-}
-
-fn squared(a: &Mat<f64>) -> f64 {
-    dot(a, a)
 }
 
 /// Values at coordinates, inside their ranges.

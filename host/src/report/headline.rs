@@ -97,7 +97,7 @@ fn spread(s: Spread, factor: f64, unit: &str) -> String {
 }
 
 fn ballast(b: &BallastEstimate) -> (&'static str, String, String) {
-    let damping = match b.damping.contradicts_description {
+    let damping = match b.damping.contradicts_description() {
         true => format!("; damping {} kNs/m², not as described", interval(b.damping.recorded_ns_m2, 1e-3)),
         false => String::new(),
     };

@@ -107,7 +107,7 @@ pub(super) fn json(analysis: &Analysis) -> String {
             damping: Damping {
                 recorded_ns_m2: b.damping.recorded_ns_m2.into(),
                 used_ns_m2: b.damping.used_ns_m2,
-                contradicts_description: b.damping.contradicts_description,
+                contradicts_description: b.damping.contradicts_description(),
             },
             misfit: b.misfit,
         },

@@ -5,9 +5,8 @@ use faer::linalg::solvers::Solve as _;
 use rayon::prelude::*;
 
 use super::nearby::Nearby;
-use super::{
-    Evaluation, Frame, Linearised, Shape, State, derivatives, mean_windows, normal_equations, values, whiten,
-};
+use super::normal::normal_equations;
+use super::{Evaluation, Frame, Linearised, Shape, State, derivatives, mean_windows, values, whiten};
 use crate::gap::GapError;
 use crate::gap::effect::{Effect, Hints};
 use crate::gap::forward::Detail;

@@ -102,6 +102,7 @@ fn property_wrong_usage_is_code_2_and_help_is_code_0() {
         &["demo", "--no-such"][..],
         &["kernel", "site"],
         &["analyse", "site", "--out", "results", "--take", "load-transfer"],
+        &["analyse", "site", "--out", "results", "--tolerances", "tolerances.toml"],
         &["node"],
         &["node", "download", "--baud", "x"],
         &["node", "simulate", "site", "--kernel", "kernel.bin", "--out", "records", "--listen", "nonsense"],
@@ -175,6 +176,32 @@ fn property_no_passages() {
 fn property_all_passages_bad() {
     let (dir, site) = site(|site| site.passages.iter_mut().for_each(|p| p.acceleration_m_s2[100] = f32::NAN));
     refused(dir.path(), &site, &["passages.parquet"]);
+}
+
+/// The tolerances that were followed lie beside what follows of them; those that cannot be followed leave nothing behind.
+#[test]
+fn property_tolerances_are_followed_or_refused() {
+    let (dir, site) = site(|_| {});
+    let (file, out) = (dir.path().join("mine.toml"), dir.path().join("out"));
+    let flag = format!("--tolerances={}", text(&file));
+    let args = ["analyse", text(&site), "--out", text(&out), &flag];
+    fails(&args, &["cannot read the tolerances", "mine.toml"]);
+    for (stated, words) in [
+        ("[sensor]\ny_mm = 50\n", &["mine.toml", "`sensor.y_mm`"][..]),
+        ("[sensor]\ny_m = 50\n", &["`sensor.y_m` = 2.3", "unit of the entry"]),
+        ("[sensor]\ny_m = \"some\"\n", &["mine.toml", "`sensor.y_m` = \"some\""]),
+    ] {
+        fs::write(&file, stated).unwrap();
+        fails(&args, words);
+        assert!(!out.exists(), "{stated}");
+    }
+    fs::write(&file, "[sensor]\ny_m = 0.05\n").unwrap();
+    let printed = succeeds(&args);
+    for word in ["tolerances    with all", "force peak ±", "sensor.y_m (±"] {
+        assert!(printed.contains(word), "`{word}` is missing in: {printed}");
+    }
+    assert_eq!(fs::read_to_string(out.join("tolerances.toml")).unwrap(), "[sensor]\ny_m = 0.05\n");
+    assert_eq!(fs::read_to_string(out.join("tolerances.csv")).unwrap().lines().count(), 3);
 }
 
 /// One bad passage costs that passage, not the site.

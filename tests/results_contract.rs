@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use cpcm::analysis::Analysis;
+use cpcm::analysis::{Analysis, Budget, Change, Consequence, Outcome, Tolerance};
 use cpcm::report::html;
 use cpcm::results::{ResultsError, read_forces, summary_json, write_results};
 use cpcm_tests::rows;
@@ -190,4 +190,64 @@ fn regress_vectors_of_different_length_are_refused() {
     let error = write_results(dir.path(), &analysis).unwrap_err();
     assert!(matches!(error, ResultsError::Ragged { passage_id: 2, wheelset: 1, column: "upper_n", .. }));
     assert!(!dir.path().join("forces.parquet").exists());
+}
+
+/// Two entries: one whose error goes unnoticed, and one that is noticed, of which half is not, in the one direction.
+fn budget() -> Budget {
+    let change = |force_peak| Change { force_peak, irregularity_rms: 0.02, p1: -0.1, p2: 0.05 };
+    let silent = |by, c| Outcome { by, change: Some(change(c)), noticed: None };
+    let sensor = Consequence {
+        tolerance: Tolerance { entry: "sensor.y_m".into(), value: 2.5, plus_minus: 0.125 },
+        smaller: silent(-0.125, -0.03),
+        larger: silent(0.125, 0.03),
+    };
+    let damping = Consequence {
+        tolerance: Tolerance { entry: "ballast.damping_ns_m2".into(), value: 125e3, plus_minus: 50e3 },
+        smaller: Outcome { noticed: Some("damping 132, instead".into()), ..silent(-25e3, -0.04) },
+        larger: Outcome { by: 0.0, change: None, noticed: Some("model-gap".into()) },
+    };
+    Budget::new(vec![sensor, damping], "[sensor]\ny_m = 0.125\n")
+}
+
+#[test]
+fn reference_tolerances() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut analysis = sample_analysis();
+    analysis.budget = Some(budget());
+    write_results(dir.path(), &analysis).unwrap();
+    let text = |name: &str| std::fs::read_to_string(dir.path().join(name)).unwrap();
+    assert_eq!(text("tolerances.toml"), "[sensor]\ny_m = 0.125\n");
+    let expected = "entry,value,plus_minus,changed_to,force_peak,irregularity_rms,p1,p2,noticed\n\
+        ballast.damping_ns_m2,125000,50000,100000,-0.04,0.02,-0.1,0.05,\"damping 132, instead\"\n\
+        ballast.damping_ns_m2,125000,50000,125000,,,,,model-gap\n\
+        sensor.y_m,2.5,0.125,2.375,-0.03,0.02,-0.1,0.05,\n\
+        sensor.y_m,2.5,0.125,2.625,0.03,0.02,-0.1,0.05,\n";
+    assert_eq!(text("tolerances.csv"), expected);
+    let json: serde_json::Value = serde_json::from_str(&text("indicators.json")).unwrap();
+    let stated = &json["tolerances"];
+    assert_eq!(stated["file"], "tolerances.csv");
+    // 3 and 4 %.
+    assert!((stated["plus_minus"]["peak_force"].as_f64().unwrap() - 0.05).abs() < 1e-12);
+    let mean = json["peak_force_n"]["mean"].as_f64().unwrap();
+    let [lower, upper] = [0, 1].map(|k| stated["peak_force_mean90_n"][k].as_f64().unwrap());
+    assert!(lower <= 0.95 * mean && upper >= 1.05 * mean, "{lower} {mean} {upper}");
+    let page = text("report.html");
+    for word in ["If crossing.toml is wrong", "sensor.y_m", "2.5 ± 0.125", "damping 132, instead"] {
+        assert!(page.contains(word), "{word}");
+    }
+}
+
+/// A table of an earlier analysis with tolerances would pass for one of these results; what the user has written there stays.
+#[test]
+fn regress_a_table_of_tolerances_is_of_these_results() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut analysis = sample_analysis();
+    analysis.budget = Some(budget());
+    write_results(dir.path(), &analysis).unwrap();
+    analysis.budget = None;
+    write_results(dir.path(), &analysis).unwrap();
+    assert!(!dir.path().join("tolerances.csv").exists());
+    assert!(dir.path().join("tolerances.toml").exists());
+    let page = std::fs::read_to_string(dir.path().join("report.html")).unwrap();
+    assert!(!page.contains("If crossing.toml is wrong") && !summary_json(&analysis).contains("tolerances"));
 }

@@ -48,6 +48,7 @@ pub fn sample_analysis() -> Analysis {
         passages,
         indicators,
         misdescription: None,
+        budget: None,
         effects_included: Vec::new(),
         skipped: site.skipped,
     }

@@ -1,10 +1,14 @@
 //! What `analyse` finds out about a site: the structs that the results files and the report are written from.
 
+mod budget;
+
 use std::borrow::Cow;
 
 use crate::identify::Misdescription;
 use crate::limits::UNLIKE_MODEL;
 use crate::recording::{Crossing, Scan, Skipped};
+
+pub use self::budget::{Budget, Change, Consequence, Outcome, Tolerance};
 
 /// Everything known about one site after the analysis.
 #[derive(Clone, Debug)]
@@ -22,6 +26,8 @@ pub struct Analysis {
     pub indicators: Indicators,
     /// What crossing.toml has otherwise than the recordings: then forces and irregularity mean nothing.
     pub misdescription: Option<Misdescription>,
+    /// What follows of what crossing.toml may be wrong by, where that was asked for.
+    pub budget: Option<Budget>,
     /// Effects of a diagnosis for which description and recordings were corrected before, in words with their sizes.
     pub effects_included: Vec<String>,
     /// Passages left out, each with its reason.
@@ -33,6 +39,11 @@ impl Analysis {
     pub fn used_and_left_out(&self) -> (usize, usize) {
         let used = self.passages.iter().filter(|p| p.explained()).count();
         (used, self.passages.len() - used + self.skipped.len())
+    }
+
+    /// Whether its forces mean something: the panel is as described, and the model explains some of the passages.
+    pub fn means_something(&self) -> bool {
+        self.misdescription.is_none() && self.passages.iter().any(PassageResult::explained)
     }
 
     /// Wheelsets of the passages that the model explains.

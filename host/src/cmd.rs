@@ -15,6 +15,7 @@ mod progress;
 mod verify;
 mod simulate;
 mod study;
+mod tolerances;
 mod with_effects;
 
 use std::process::ExitCode;

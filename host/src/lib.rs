@@ -26,6 +26,7 @@ pub mod node_sim;
 pub mod gap;
 pub mod analysis;
 pub mod pipeline;
+pub mod tolerances;
 pub mod progress;
 pub mod scoring;
 pub mod verification;

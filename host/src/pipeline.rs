@@ -102,6 +102,7 @@ pub fn evaluate(identified: &IdentifiedSite, progress: &dyn Progress) -> Result<
             None => indicators,
         },
         misdescription,
+        budget: None,
         effects_included: Vec::new(),
         skipped: site.skipped.clone(),
     })

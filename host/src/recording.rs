@@ -9,6 +9,7 @@ pub(crate) mod files;
 mod guard;
 mod mat;
 mod mseed;
+mod number;
 mod parquet;
 mod samples;
 mod scan;

@@ -19,6 +19,7 @@ mod plot;
 pub mod study;
 mod tables;
 pub mod text;
+mod tolerances;
 mod traces;
 pub mod trials;
 pub mod verification;
@@ -59,6 +60,7 @@ pub fn html(analysis: &Analysis) -> Result<String, ReportError> {
     support.extend(displacement::figures(&analysis.passages, analysis.ballast.misfit)?);
     support.extend(accelerations::figures(&analysis.passages)?);
     body.extend(support.iter().map(Figure::html));
+    body.push_str(&tolerances::html(analysis)?);
     body.push_str("<h2>Peaks per wheelset</h2>\n");
     body.push_str(&tables::peaks(analysis));
     body.push_str(&tables::flags(analysis));

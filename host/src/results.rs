@@ -7,10 +7,12 @@
 //! | `indicators.json` | condition, urgency, action |
 //! | `modes.csv` | first SVD modes that `indicators.json` refers to |
 //! | `mean_irregularity.csv` | mean irregularity of all wheels with its 90 % interval |
+//! | `tolerances.csv`, `tolerances.toml` | how far results follow what crossing.toml may be wrong by, where that was asked for |
 //! | `report.html` | all of it for people ([`crate::report`]) |
 
 mod forces;
 mod indicators;
+mod tolerances;
 
 use std::path::Path;
 
@@ -46,6 +48,7 @@ pub fn write_results(dir: &Path, analysis: &Analysis) -> Result<(), ResultsError
     write_atomic(&dir.join("modes.csv"), indicators::modes_csv(&analysis.indicators).as_bytes())?;
     let mean = indicators::mean_irregularity_csv(&analysis.indicators);
     write_atomic(&dir.join("mean_irregularity.csv"), mean.as_bytes())?;
+    tolerances::write(dir, analysis.budget.as_ref())?;
     write_atomic(&dir.join("indicators.json"), indicators::json(analysis).as_bytes())?;
     write_atomic(&dir.join("report.html"), report::html(analysis)?.as_bytes())?;
     Ok(())

@@ -7,6 +7,7 @@ use clap::Args;
 
 use super::output::{print, warn, warn_skipped};
 use super::progress::Bar;
+use super::tolerances::{self, Tolerances};
 use super::with_effects::Effects;
 use crate::analysis::{Analysis, Condition, DampingEstimate};
 use crate::gap::corrected::Purpose;
@@ -19,7 +20,8 @@ use crate::results::{summary_json, write_results};
 /// Analyse the recordings of one crossing: ballast, contact forces, irregularity, condition
 ///
 /// Reads a site directory (crossing.toml and passages.parquet, or passages.csv with passages/*.csv) and writes
-/// forces.parquet, ballast.csv, indicators.json, modes.csv, mean_irregularity.csv and report.html.
+/// forces.parquet, ballast.csv, indicators.json, modes.csv, mean_irregularity.csv and report.html; with --tolerances
+/// tolerances.csv and tolerances.toml.
 #[derive(Args)]
 #[command(after_help = "Example:\n  cpcm analyse tests/data/field/reference-1 --out results")]
 pub(super) struct AnalyseArgs {
@@ -30,6 +32,8 @@ pub(super) struct AnalyseArgs {
     out: PathBuf,
     #[command(flatten)]
     effects: Effects,
+    #[command(flatten)]
+    tolerances: Tolerances,
     /// Print the summary as JSON (the content of indicators.json)
     #[arg(long)]
     json: bool,
@@ -44,9 +48,13 @@ impl AnalyseArgs {
         let read = site.skipped.len();
         let (site, included) = self.effects.included_in(site, Purpose::Analysis)?;
         warn_skipped(&site.skipped[read..]);
+        let tolerances = self.tolerances.of(&site.crossing)?;
         let mut analysis = pipeline::analyse(&site, &AnalyseOptions::default(), &Bar::new())
             .with_context(|| format!("cannot analyse site {}", self.site.display()))?;
         analysis.effects_included = included;
+        if let Some(stated) = tolerances {
+            analysis.budget = stated.followed(&site, &analysis)?;
+        }
         write_results(&self.out, &analysis)
             .with_context(|| format!("cannot write results to {}", self.out.display()))?;
         warn_unexplained(&analysis);
@@ -144,7 +152,7 @@ pub(super) fn summary(analysis: &Analysis) -> String {
          irregularity  {:.0} µm RMS in the mean (90 %: {:.0} … {:.0}), threshold {:.0}\n\
          \x20             {:.0} … {:.0} µm in the middle 80 % of the wheels\n\
          ballast       {:.1} MN/m² under the crossing (90 %: {:.1} … {:.1}), {:.1} elsewhere{damping}\n\
-         passages      {} used, {} left out{included}",
+         passages      {} used, {} left out{}{included}",
         analysis.crossing.name,
         i.urgency,
         i.recommended_action,
@@ -166,5 +174,6 @@ pub(super) fn summary(analysis: &Analysis) -> String {
         1e-6 * b.p1_n_m2.value,
         used,
         left_out,
+        tolerances::summary(analysis),
     )
 }

@@ -23,6 +23,16 @@ pub(crate) fn read_bytes(file: &Path) -> Result<Vec<u8>, RecordingError> {
     std::fs::read(file).map_err(io)
 }
 
+/// Removes a file that may be there.
+pub(crate) fn remove(file: &Path) -> Result<(), RecordingError> {
+    match std::fs::remove_file(file) {
+        Err(source) if source.kind() != std::io::ErrorKind::NotFound => {
+            Err(RecordingError::Io { doing: "remove", path: file.into(), source })
+        }
+        _ => Ok(()),
+    }
+}
+
 /// Creates a directory for results; refuses a file of that name.
 pub(crate) fn create_dir(dir: &Path) -> Result<(), RecordingError> {
     if dir.exists() && !dir.is_dir() {

@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use crate::analysis::{Analysis, Condition, Indicators, Interval, Spread};
+use crate::analysis::{Analysis, Budget, Change, Condition, Indicators, Interval, Spread};
 use crate::recording::Skipped;
 
 #[derive(Serialize)]
@@ -16,6 +16,9 @@ struct File<'a> {
     irregularity_rms_m: Indicator,
     ballast: Ballast,
     passages: Passages<'a>,
+    /// Where they were asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    tolerances: Option<Tolerances>,
     /// Description and recordings were corrected for them before.
     #[serde(skip_serializing_if = "<[String]>::is_empty")]
     effects_included: &'a [String],
@@ -54,6 +57,23 @@ struct Damping {
     contradicts_description: bool,
 }
 
+/// 90 % intervals with all that crossing.toml may be wrong by, and the part of that alone, relative to the results.
+#[derive(Serialize)]
+struct Tolerances {
+    file: &'static str,
+    peak_force_mean90_n: [f64; 2],
+    irregularity_rms_mean90_m: [f64; 2],
+    plus_minus: Parts,
+}
+
+#[derive(Serialize)]
+struct Parts {
+    peak_force: f64,
+    irregularity_rms: f64,
+    p1: f64,
+    p2: f64,
+}
+
 /// A value with its 90 % interval.
 #[derive(Serialize)]
 struct IntervalJson {
@@ -89,6 +109,16 @@ fn indicator(spread: Spread, column: &'static str) -> Indicator {
     }
 }
 
+fn tolerances(budget: &Budget, i: &Indicators) -> Tolerances {
+    let Change { force_peak, irregularity_rms, p1, p2 } = budget.total();
+    Tolerances {
+        file: "tolerances.csv",
+        peak_force_mean90_n: budget.peak_force_n(&i.peak_force_n),
+        irregularity_rms_mean90_m: budget.irregularity_rms_m(&i.irregularity_rms_m),
+        plus_minus: Parts { peak_force: force_peak, irregularity_rms, p1, p2 },
+    }
+}
+
 /// The text of `indicators.json`.
 pub(super) fn json(analysis: &Analysis) -> String {
     let (i, b) = (&analysis.indicators, &analysis.ballast);
@@ -117,6 +147,7 @@ pub(super) fn json(analysis: &Analysis) -> String {
             left_out: analysis.passages.iter().filter(|p| !p.explained()).map(|p| p.passage_id).collect(),
             skipped: &analysis.skipped,
         },
+        tolerances: analysis.budget.as_ref().map(|b| tolerances(b, i)),
         effects_included: &analysis.effects_included,
     };
     // Numbers and strings only: serde_json writes NaN as null and has nothing else to refuse.

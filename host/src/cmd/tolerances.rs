@@ -1,0 +1,77 @@
+//! `--tolerances` of `cpcm analyse`.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Context;
+use clap::Args;
+
+use super::output::warn;
+use super::progress::Bar;
+use crate::analysis::{Analysis, Budget, Tolerance};
+use crate::recording::files::read_text;
+use crate::recording::{Crossing, Site};
+use crate::tolerances::{USUAL, budget, tolerances_of};
+
+/// Entries that the terminal names.
+const NAMED: usize = 3;
+
+/// Whether to follow what crossing.toml may be wrong by.
+#[derive(Args)]
+pub(super) struct Tolerances {
+    /// Say how far the results follow what crossing.toml may be wrong by: as FILE has it, or as is usual (DIR/tolerances.toml, to be changed). Takes two
+    /// analyses for each entry, a minute or two
+    #[arg(long, value_name = "FILE", num_args = 0..=1, require_equals = true)]
+    tolerances: Option<Option<PathBuf>>,
+}
+
+/// Tolerances and the text that states them.
+pub(super) struct Stated {
+    tolerances: Vec<Tolerance>,
+    text: String,
+}
+
+impl Tolerances {
+    /// Those of a site, if they are asked for.
+    pub(super) fn of(&self, crossing: &Crossing) -> anyhow::Result<Option<Stated>> {
+        let Some(file) = &self.tolerances else { return Ok(None) };
+        let (file, text) = match file {
+            Some(file) => (file.as_path(), read_text(file).context("cannot read the tolerances")?),
+            None => (Path::new("the usual tolerances"), USUAL.to_string()),
+        };
+        let tolerances = tolerances_of(file, &text, crossing).context("cannot use the tolerances")?;
+        Ok(Some(Stated { tolerances, text }))
+    }
+}
+
+impl Stated {
+    /// What follows of them, unless there is nothing for it to follow in.
+    pub(super) fn followed(&self, site: &Site, analysis: &Analysis) -> anyhow::Result<Option<Budget>> {
+        if !analysis.means_something() {
+            warn("tolerances are not followed: as crossing.toml is, the results mean nothing");
+            return Ok(None);
+        }
+        let of = (self.tolerances.as_slice(), self.text.as_str());
+        Ok(Some(budget(site, analysis, of, &Bar::new()).context("cannot follow the tolerances")?))
+    }
+}
+
+/// What follows, for the terminal: lines that begin with a line feed.
+pub(super) fn summary(analysis: &Analysis) -> String {
+    let Some(budget) = &analysis.budget else { return String::new() };
+    let total = budget.total();
+    let [lower, upper] = budget.peak_force_n(&analysis.indicators.peak_force_n).map(|f| 1e-3 * f);
+    let name = |c: &crate::analysis::Consequence| {
+        format!("{} (±{:.1} %)", c.tolerance.entry, 100.0 * c.size().force_peak)
+    };
+    let first: Vec<String> = budget.consequences.iter().take(NAMED).map(name).collect();
+    format!(
+        "\ntolerances    with all that crossing.toml may be wrong by: force peak ±{:.1} % ({lower:.1} … {upper:.1} kN), irregularity ±{:.1} %,\n\
+         \x20             ballast ±{:.0} % under the crossing, ±{:.0} % elsewhere\n\
+         \x20             most of the force peak's: {}",
+        100.0 * total.force_peak,
+        100.0 * total.irregularity_rms,
+        100.0 * total.p2,
+        100.0 * total.p1,
+        first.join(", ")
+    )
+}

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use cpcm::analysis::{Analysis, Budget, Change, Consequence, Outcome, Tolerance};
+use cpcm::analysis::{Analysis, Budget, Change, Consequence, Drawn, Outcome, TOLERANCE_SDS, Tolerance};
 use cpcm::report::html;
 use cpcm::results::{ResultsError, read_forces, summary_json, write_results};
 use cpcm_tests::rows;
@@ -206,7 +206,12 @@ fn budget() -> Budget {
         smaller: Outcome { noticed: Some("damping 132, instead".into()), ..silent(-25e3, -0.04) },
         larger: Outcome { by: 0.0, change: None, noticed: Some("model-gap".into()) },
     };
-    Budget::new(vec![sensor, damping], "[sensor]\ny_m = 0.125\n")
+    let drawn = Drawn {
+        count: 12,
+        unnoticed: [-0.05, 0.05].repeat(5).into_iter().map(change).collect(),
+        noticed: Vec::new(),
+    };
+    Budget::new(vec![sensor, damping], Some(drawn), "[sensor]\ny_m = 0.125\n")
 }
 
 #[test]
@@ -226,8 +231,8 @@ fn reference_tolerances() {
     let json: serde_json::Value = serde_json::from_str(&text("indicators.json")).unwrap();
     let stated = &json["tolerances"];
     assert_eq!(stated["file"], "tolerances.csv");
-    // 3 and 4 %.
-    assert!((stated["plus_minus"]["peak_force"].as_f64().unwrap() - 0.05).abs() < 1e-12);
+    assert_eq!((&stated["drawn"], &stated["unnoticed"]), (&12.into(), &10.into()));
+    assert!((stated["plus_minus"]["peak_force"].as_f64().unwrap() - 0.05 * TOLERANCE_SDS).abs() < 1e-12);
     let mean = json["peak_force_n"]["mean"].as_f64().unwrap();
     let [lower, upper] = [0, 1].map(|k| stated["peak_force_mean90_n"][k].as_f64().unwrap());
     assert!(lower <= 0.95 * mean && upper >= 1.05 * mean, "{lower} {mean} {upper}");

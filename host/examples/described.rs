@@ -5,20 +5,17 @@
 
 use std::path::Path;
 
-use cpcm::analysis::Tolerance;
 use cpcm::pipeline::{AnalyseOptions, analyse};
 use cpcm::progress::Silent;
+use cpcm::recording::read_site;
 use cpcm::recording::truth::read_truth;
-use cpcm::recording::{Site, read_site};
 use cpcm::scoring::score;
-use cpcm::tolerances::{USUAL, budget, described, said, tolerances_of};
-use rand::SeedableRng;
-use rand_distr::{Distribution, StandardNormal};
+use cpcm::tolerances::{DRAWS, USUAL, budget, drawn_site, said, tolerances_of};
 
 /// Descriptions of each site.
-const DRAWS: u64 = 20;
-/// Tolerances are 90 % intervals: this many standard deviations.
-const SDS: f64 = 1.645;
+const DESCRIPTIONS: u64 = 20;
+/// Others than those that the tolerances themselves are followed with.
+const FIRST_SEED: u64 = 1000;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     if std::env::args().len() < 2 {
@@ -31,9 +28,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let (site, truth) = (read_site(dir)?, read_truth(dir)?);
         let known = analyse(&site, &AnalyseOptions::default(), &Silent)?;
         let tolerances = tolerances_of(Path::new("the usual tolerances"), USUAL, &site.crossing)?;
-        let further = budget(&site, &known, (&tolerances, USUAL), &Silent)?.total().force_peak;
-        for seed in 0..DRAWS {
-            let other = drawn(&site, &tolerances, seed);
+        let further = budget(&site, &known, (&tolerances, USUAL), DRAWS, &Silent)?.total().force_peak;
+        for seed in 0..DESCRIPTIONS {
+            let other = drawn_site(&site, &tolerances, FIRST_SEED + seed);
             let found = analyse(&other, &AnalyseOptions::default(), &Silent)?;
             let [error, half] = score(&found, &truth).mean_peak;
             let wide = half.hypot(further);
@@ -60,13 +57,4 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         all - noticed
     );
     Ok(())
-}
-
-/// All entries changed at random; one that no panel can have stays as it is.
-fn drawn(site: &Site, tolerances: &[Tolerance], seed: u64) -> Site {
-    let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
-    tolerances.iter().fold(site.clone(), |site, t| {
-        let draw: f64 = StandardNormal.sample(&mut random);
-        described(&site, &t.entry, t.value + t.plus_minus / SDS * draw).unwrap_or(site)
-    })
 }

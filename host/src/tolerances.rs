@@ -1,11 +1,16 @@
-//! How far the results of a site follow what crossing.toml may be wrong by: each entry is changed by its tolerance, either way, and the
-//! site analysed anew. What the analysis would notice is not so: it has not noticed it of the site as described.
+//! How far the results of a site follow what crossing.toml may be wrong by. Each entry is changed by its tolerance, either way, and the site
+//! analysed anew, which tells what is worth measuring; all are changed at once, at random, which tells how wrong the results may be. What the
+//! analysis would notice is not so: it has not noticed it of the site as described.
 
 mod file;
 
 pub use file::{ToleranceError, USUAL, tolerances_of};
 
-use crate::analysis::{Analysis, Budget, Change, Consequence, Outcome, Tolerance};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
+
+use crate::analysis::{Analysis, Budget, Change, Consequence, Drawn, Outcome, TOLERANCE_SDS, Tolerance};
 use crate::limits::{MODEL_GAP, UNLIKE_MODEL};
 use crate::pipeline::{AnalyseOptions, analyse};
 use crate::progress::{Progress, Silent};
@@ -14,16 +19,20 @@ use crate::recording::{Crossing, RecordingError, Site};
 /// The entry that recordings state themselves, each for its train: all of them are changed with it.
 const AXLE_LOAD: &str = "vehicle.axle_load_kg";
 
-/// What follows of tolerances for a site that was analysed as described: two analyses for each, and more where errors are noticed. `stated`:
-/// the text of their file.
+/// Descriptions that are drawn: half of them may be noticed.
+pub const DRAWS: usize = 32;
+
+/// What follows of tolerances for a site that was analysed as described: two analyses for each, more where errors are noticed, and one for each
+/// of `draws` descriptions that are wrong by all at once. `stated`: the text of their file.
 pub fn budget(
     site: &Site,
     known: &Analysis,
     (tolerances, stated): (&[Tolerance], &str),
+    draws: usize,
     progress: &dyn Progress,
 ) -> Result<Budget, ToleranceError> {
     tolerances.iter().try_for_each(|t| check(&site.crossing, t))?;
-    progress.begin("tolerances of crossing.toml", 2 * tolerances.len() as u64);
+    progress.begin("tolerances, one by one", 2 * tolerances.len() as u64);
     let consequence = |tolerance: &Tolerance| {
         let [smaller, larger] = [-tolerance.plus_minus, tolerance.plus_minus].map(|by| {
             let outcome = outcome(site, known, tolerance, by);
@@ -32,7 +41,39 @@ pub fn budget(
         });
         Consequence { tolerance: tolerance.clone(), smaller, larger }
     };
-    Ok(Budget::new(tolerances.iter().map(consequence).collect(), stated))
+    let consequences = tolerances.iter().map(consequence).collect();
+    let drawn = (tolerances.len() > 1).then(|| drawn(site, known, tolerances, draws, progress));
+    Ok(Budget::new(consequences, drawn, stated))
+}
+
+/// The same descriptions every time.
+fn drawn(
+    site: &Site,
+    known: &Analysis,
+    tolerances: &[Tolerance],
+    draws: usize,
+    progress: &dyn Progress,
+) -> Drawn {
+    progress.begin("tolerances, all at once", draws as u64);
+    let mut drawn = Drawn { count: draws, unnoticed: Vec::new(), noticed: Vec::new() };
+    for seed in 0..draws {
+        let Attempt { change, noticed } = attempt(&drawn_site(site, tolerances, seed as u64), known);
+        match noticed {
+            None => drawn.unnoticed.extend(change),
+            Some(_) => drawn.noticed.extend(change),
+        }
+        progress.step();
+    }
+    drawn
+}
+
+/// A site whose description is wrong by all tolerances, each at random; an entry that no panel can have stays as it is.
+pub fn drawn_site(site: &Site, tolerances: &[Tolerance], seed: u64) -> Site {
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    tolerances.iter().fold(site.clone(), |site, t| {
+        let draw: f64 = StandardNormal.sample(&mut random);
+        described(&site, &t.entry, t.value + t.plus_minus / TOLERANCE_SDS * draw).unwrap_or(site)
+    })
 }
 
 /// Refuses a tolerance that is impossible either way; one way a sensor may be beyond the end of the sleeper.
@@ -43,7 +84,7 @@ fn check(crossing: &Crossing, tolerance: &Tolerance) -> Result<(), ToleranceErro
             entry: entry.clone(),
             value: *value,
             plus_minus: *plus_minus,
-            source,
+            source: Box::new(source),
         }),
         _ => Ok(()),
     }
@@ -53,26 +94,36 @@ fn check(crossing: &Crossing, tolerance: &Tolerance) -> Result<(), ToleranceErro
 const HALVINGS: usize = 3;
 
 fn outcome(site: &Site, known: &Analysis, tolerance: &Tolerance, by: f64) -> Outcome {
-    let attempt = |by: f64| unnoticed(site, known, &tolerance.entry, tolerance.value + by);
-    let noticed = match attempt(by) {
-        Ok(change) => return Outcome { by, change: Some(change), noticed: None },
-        Err(noticed) => Some(noticed),
+    let unnoticed = |by: f64| -> Result<Change, String> {
+        let other = described(site, &tolerance.entry, tolerance.value + by).map_err(|e| e.to_string())?;
+        match attempt(&other, known) {
+            Attempt { noticed: Some(words), .. } => Err(words),
+            Attempt { change, .. } => change.ok_or_else(|| "the results are no numbers".into()),
+        }
     };
-    let halves = (1..=HALVINGS).map(|n| by * 0.5f64.powi(n as i32));
-    let less = halves.map(|by| (by, attempt(by))).find_map(|(by, change)| Some((by, change.ok()?)));
-    match less {
+    let noticed = match unnoticed(by) {
+        Ok(change) => return Outcome { by, change: Some(change), noticed: None },
+        Err(words) => Some(words),
+    };
+    let mut halves = (1..=HALVINGS).map(|n| by * 0.5f64.powi(n as i32));
+    match halves.find_map(|by| Some((by, unnoticed(by).ok()?))) {
         Some((by, change)) => Outcome { by, change: Some(change), noticed },
         None => Outcome { by: 0.0, change: None, noticed },
     }
 }
 
-/// How far the results follow an entry, or what the analysis says of it.
-fn unnoticed(site: &Site, known: &Analysis, entry: &str, value: f64) -> Result<Change, String> {
-    let other = described(site, entry, value).map_err(|e| e.to_string())?;
-    let found = analyse(&other, &AnalyseOptions::default(), &Silent).map_err(|e| e.to_string())?;
-    match said(known, &found) {
-        Some(noticed) => Err(noticed),
-        None => change(known, &found).ok_or_else(|| "the results are no numbers".into()),
+/// The analysis of a site with another description.
+struct Attempt {
+    /// None where results are no numbers, or mean nothing.
+    change: Option<Change>,
+    /// What it says that it does not say of the site as described.
+    noticed: Option<String>,
+}
+
+fn attempt(other: &Site, known: &Analysis) -> Attempt {
+    match analyse(other, &AnalyseOptions::default(), &Silent) {
+        Ok(found) => Attempt { change: change(known, &found), noticed: said(known, &found) },
+        Err(error) => Attempt { change: None, noticed: Some(error.to_string()) },
     }
 }
 
@@ -87,8 +138,10 @@ pub fn described(site: &Site, entry: &str, value: f64) -> Result<Site, Recording
     Ok(other)
 }
 
-/// None where it is no number.
 fn change(known: &Analysis, found: &Analysis) -> Option<Change> {
+    if !found.means_something() {
+        return None;
+    }
     let ratio = |of: fn(&Analysis) -> f64| of(found) / of(known) - 1.0;
     let change = Change {
         force_peak: ratio(|a| a.indicators.peak_force_n.mean),
@@ -101,8 +154,7 @@ fn change(known: &Analysis, found: &Analysis) -> Option<Change> {
 
 /// What the analysis with another description says that it does not say of the site as described.
 pub fn said(known: &Analysis, found: &Analysis) -> Option<String> {
-    let now = remark(found);
-    now.filter(|_| remark(known).is_none())
+    remark(found).filter(|_| !found.means_something() || remark(known).is_none())
 }
 
 fn remark(analysis: &Analysis) -> Option<String> {

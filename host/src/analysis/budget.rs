@@ -1,6 +1,7 @@
 //! How far the results of a site follow what crossing.toml may be wrong by.
 
 use super::Spread;
+use crate::signal::HALF_WIDTH_90;
 
 /// What an entry of crossing.toml may be wrong by.
 #[derive(Clone, Debug, PartialEq)]
@@ -72,31 +73,57 @@ impl Consequence {
     pub fn size(&self) -> Change {
         let counted: Vec<Change> =
             [&self.smaller, &self.larger].into_iter().filter_map(|o| o.change).collect();
-        let n = counted.len().max(1) as f64;
-        Change::each(&counted, |c| (c.iter().map(|v| v * v).sum::<f64>() / n).sqrt())
+        rms(&counted, 1.0)
     }
 }
+
+/// Descriptions drawn within all tolerances at once, each analysed.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Drawn {
+    /// How many.
+    pub count: usize,
+    /// How far the results follow those of which the analysis notices nothing that it does not of the site as described: others are not so.
+    pub unnoticed: Vec<Change>,
+    /// The same of all others for which there are results.
+    pub noticed: Vec<Change>,
+}
+
+/// Tolerances are 90 % intervals: this many standard deviations of an error of the description.
+pub const TOLERANCE_SDS: f64 = HALF_WIDTH_90;
+/// Descriptions that speak for all: with fewer unnoticed ones those that are noticed count as well.
+const FEWEST: usize = 8;
 
 /// What follows of all tolerances.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Budget {
     /// By how far the force peaks follow, farthest first.
     pub consequences: Vec<Consequence>,
+    /// All at once; none where there is one tolerance only.
+    pub drawn: Option<Drawn>,
     /// The tolerances as the text of a file, to be changed and given back.
     pub stated: String,
 }
 
 impl Budget {
-    /// Of these, in any order.
-    pub fn new(mut consequences: Vec<Consequence>, stated: &str) -> Self {
+    /// Of consequences in any order.
+    pub fn new(mut consequences: Vec<Consequence>, drawn: Option<Drawn>, stated: &str) -> Self {
         consequences.sort_by(|a, b| b.size().force_peak.total_cmp(&a.size().force_peak));
-        Self { consequences, stated: stated.into() }
+        Self { consequences, drawn, stated: stated.into() }
     }
 
-    /// Half widths of 90 % intervals that hold all tolerances and nothing else, over the results: entries are wrong independently.
+    /// Half widths of 90 % intervals that hold all tolerances and nothing else, over the results. Errors of one entry hide those of another
+    /// from the analysis, so that together they do more than one by one.
     pub fn total(&self) -> Change {
-        let sizes: Vec<Change> = self.consequences.iter().map(Consequence::size).collect();
-        Change::each(&sizes, |c| c.iter().map(|v| v * v).sum::<f64>().sqrt())
+        let Some(drawn) = &self.drawn else { return rms(&self.sizes(), 1.0) };
+        let mut counted = drawn.unnoticed.clone();
+        if counted.len() < FEWEST {
+            counted.extend(&drawn.noticed);
+        }
+        rms(&counted, TOLERANCE_SDS)
+    }
+
+    fn sizes(&self) -> Vec<Change> {
+        self.consequences.iter().map(Consequence::size).collect()
     }
 
     /// 90 % interval of the mean force peak, tolerances included, newtons.
@@ -108,6 +135,13 @@ impl Budget {
     pub fn irregularity_rms_m(&self, spread: &Spread) -> [f64; 2] {
         widened(spread, self.total().irregularity_rms)
     }
+}
+
+/// Root of the mean of the squares, times a factor: wrong descriptions move results in one direction rather than the other, which is an error
+/// as well.
+fn rms(changes: &[Change], factor: f64) -> Change {
+    let n = changes.len().max(1) as f64;
+    Change::each(changes, |c| factor * (c.iter().map(|v| v * v).sum::<f64>() / n).sqrt())
 }
 
 /// The interval of a mean with a further error, relative to it, that is independent of it.
@@ -131,24 +165,49 @@ mod tests {
         }
     }
 
-    /// 3, 4 and 12 % make 13 %, and with 5 % of the mean's own 13.93 %.
+    fn changes(force_peaks: &[f64]) -> Vec<Change> {
+        force_peaks.iter().map(|f| Change { force_peak: *f, p1: -2.0 * f, ..Change::default() }).collect()
+    }
+
     #[test]
-    fn analytic_tolerances_add_in_quadrature() {
-        let consequences = vec![
-            consequence("a", [Some(-0.03), Some(0.03)]),
-            consequence("b", [Some(0.12), None]),
-            consequence("c", [Some(0.0), Some(0.04 * 2f64.sqrt())]),
-            consequence("d", [None, None]),
-        ];
-        let budget = Budget::new(consequences, "");
-        let order: Vec<&str> = budget.consequences.iter().map(|c| c.tolerance.entry.as_str()).collect();
-        assert_eq!(order, ["b", "c", "a", "d"]);
-        let total = budget.total();
-        assert!((total.force_peak - 0.13).abs() < 1e-12 && (total.p1 - 0.26).abs() < 1e-12, "{total:?}");
+    fn analytic_entries_are_ordered_by_their_size() {
+        let budget = Budget::new(
+            vec![
+                consequence("a", [Some(-0.03), Some(0.03)]),
+                consequence("b", [Some(0.12), None]),
+                consequence("c", [Some(0.0), Some(0.04 * 2f64.sqrt())]),
+                consequence("d", [None, None]),
+            ],
+            None,
+            "",
+        );
+        let sized = |c: &Consequence| (c.tolerance.entry.clone(), (1e4 * c.size().force_peak).round());
+        let sizes: Vec<(String, f64)> = budget.consequences.iter().map(sized).collect();
+        let expected = [("b", 1200.0), ("c", 400.0), ("a", 300.0), ("d", 0.0)];
+        assert_eq!(sizes, expected.map(|(entry, size)| (entry.to_string(), size)));
+    }
+
+    /// One tolerance is its own total, beside 10 kN of the mean's own interval.
+    #[test]
+    fn analytic_one_tolerance() {
+        let budget = Budget::new(vec![consequence("a", [Some(-0.12), Some(0.12)])], None, "");
         let spread = Spread { mean: 200e3, mean90: [190e3, 200e3], p10: 0.0, p90: 0.0, threshold: 0.0 };
         let [lower, upper] = budget.peak_force_n(&spread);
-        assert!((upper - 226e3).abs() < 1e-6, "{upper}");
-        assert!((lower - (200e3 - 10e3f64.hypot(26e3))).abs() < 1e-6, "{lower}");
-        assert_eq!(Budget::new(Vec::new(), "").peak_force_n(&spread), [190e3, 200e3]);
+        assert!((lower - 174e3).abs() < 1e-6 && (upper - 224e3).abs() < 1e-6, "{lower} {upper}");
+        assert_eq!(Budget::new(Vec::new(), None, "").peak_force_n(&spread), [190e3, 200e3]);
+    }
+
+    /// Of drawn descriptions those that are noticed count where there are few others.
+    #[test]
+    fn analytic_drawn_descriptions() {
+        let total = |unnoticed: &[f64], noticed: &[f64]| {
+            let (unnoticed, noticed) = (changes(unnoticed), changes(noticed));
+            Budget::new(Vec::new(), Some(Drawn { count: 20, unnoticed, noticed }), "").total()
+        };
+        let many = total(&[0.03, -0.03, 0.03, 0.03, -0.03, 0.03, 0.03, 0.03], &[0.5]);
+        assert!((many.force_peak - 0.03 * TOLERANCE_SDS).abs() < 1e-12, "{many:?}");
+        assert!((many.p1 - 0.06 * TOLERANCE_SDS).abs() < 1e-12, "{many:?}");
+        let few = total(&[0.01], &[0.07]);
+        assert!((few.force_peak - 0.05 * TOLERANCE_SDS).abs() < 1e-12, "{few:?}");
     }
 }

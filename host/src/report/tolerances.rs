@@ -28,7 +28,7 @@ fn sentence(analysis: &Analysis, budget: &Budget) -> String {
     format!(
         "All intervals on this page are of the panel as crossing.toml describes it. With what that may be wrong by (tolerances.toml, as ± in nine \
          of ten cases) the mean force peak is {:.1}\u{2013}{:.1} kN and the mean irregularity {:.1}\u{2013}{:.1} µm RMS (90 %): ±{:.1} % and ±{:.1} % \
-         come of the description alone; of the ballast ±{:.0} % elsewhere and ±{:.0} % under the crossing.",
+         come of the description alone; of the ballast ±{:.0} % elsewhere and ±{:.0} % under the crossing.{}",
         force[0],
         force[1],
         rms[0],
@@ -37,6 +37,16 @@ fn sentence(analysis: &Analysis, budget: &Budget) -> String {
         100.0 * total.irregularity_rms,
         100.0 * total.p1,
         100.0 * total.p2,
+        drawn(budget),
+    )
+}
+
+fn drawn(budget: &Budget) -> String {
+    let Some(drawn) = &budget.drawn else { return String::new() };
+    format!(
+        " Those are of {} descriptions that are wrong by all at once, at random, of which {} go unnoticed.",
+        drawn.count,
+        drawn.unnoticed.len()
     )
 }
 

@@ -64,6 +64,9 @@ struct Tolerances {
     peak_force_mean90_n: [f64; 2],
     irregularity_rms_mean90_m: [f64; 2],
     plus_minus: Parts,
+    /// Descriptions that were wrong by all tolerances at once, and those of which nothing was noticed; none with one tolerance.
+    drawn: Option<usize>,
+    unnoticed: Option<usize>,
 }
 
 #[derive(Serialize)]
@@ -116,6 +119,8 @@ fn tolerances(budget: &Budget, i: &Indicators) -> Tolerances {
         peak_force_mean90_n: budget.peak_force_n(&i.peak_force_n),
         irregularity_rms_mean90_m: budget.irregularity_rms_m(&i.irregularity_rms_m),
         plus_minus: Parts { peak_force: force_peak, irregularity_rms, p1, p2 },
+        drawn: budget.drawn.as_ref().map(|d| d.count),
+        unnoticed: budget.drawn.as_ref().map(|d| d.unnoticed.len()),
     }
 }
 

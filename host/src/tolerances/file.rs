@@ -39,7 +39,7 @@ pub enum ToleranceError {
     #[error(
         "no panel can have `{entry}` = {value} either less or more {plus_minus}; is the tolerance in the unit of the entry?"
     )]
-    Impossible { entry: String, value: f64, plus_minus: f64, source: RecordingError },
+    Impossible { entry: String, value: f64, plus_minus: f64, source: Box<RecordingError> },
 }
 
 /// Tolerances of the entries of `crossing` as the text of a file states them; `file` is for messages.

@@ -15,7 +15,7 @@ use cpcm::recording::truth::{Truth, read_truth};
 use cpcm::recording::{Site, read_site};
 use cpcm::scoring::{Score, score, score_node};
 use cpcm::signal::{quantile, resample};
-use cpcm::tolerances::{budget, tolerances_of};
+use cpcm::tolerances::{DRAWS, budget, tolerances_of};
 use cpcm_shared::record::Record;
 use cpcm_shared::sample::{RAW_RATE_HZ, SensorCode};
 use cpcm_tests::compare::largest_difference;
@@ -162,30 +162,23 @@ fn reference_damping_that_is_described_wrong_is_found() {
 
 /// All three sites, over stiff and soft pads and with wheels that lose contact, against what is asked of the method.
 /// With a crossing part that is described a fifth too soft the stated interval misses the true mean peak, and the one with its tolerance holds it.
-/// A damping that would be noticed counts by as much of it as goes unnoticed.
 #[test]
 fn reference_a_tolerance_holds_what_a_wrong_description_does() {
     let Run { site, truth, .. } = run();
     let mut wrong = site.clone();
+    wrong.passages = wrong.passages.into_iter().step_by(2).collect();
     wrong.crossing.rail.crossing_part_stiffness_factor *= 0.8;
     let analysis = pipeline::analyse(&wrong, &AnalyseOptions::default(), &Silent).unwrap();
-    let stated = "[rail]\ncrossing_part_stiffness_factor = \"25 %\"\n[ballast]\ndamping_ns_m2 = \"20 %\"";
+    let stated = "[rail]\ncrossing_part_stiffness_factor = \"25 %\"";
     let tolerances = tolerances_of(Path::new("stated"), stated, &wrong.crossing).unwrap();
-    let budget = budget(&wrong, &analysis, (&tolerances, stated), 2, &Silent).unwrap();
-    let of = |entry: &str| budget.consequences.iter().find(|c| c.tolerance.entry == entry).unwrap();
-    let [part, damping] = ["rail.crossing_part_stiffness_factor", "ballast.damping_ns_m2"].map(of);
-    let ([error, half], further) = (score(&analysis, truth).mean_peak, part.size().force_peak);
+    let budget = budget(&wrong, &analysis, (&tolerances, stated), DRAWS, &Silent).unwrap();
+    let ([error, half], further) = (score(&analysis, truth).mean_peak, budget.total().force_peak);
     println!("mean peak {error:+.4}, stated ± {half:.4}, tolerance ± {further:.4}");
     assert!(error.abs() > half && error.abs() < half.hypot(further));
+    let part = &budget.consequences[0];
     for (outcome, sign) in [(&part.smaller, -1.0), (&part.larger, 1.0)] {
         assert!(outcome.noticed.is_none() && sign * outcome.change.unwrap().force_peak > 0.01, "{outcome:?}");
     }
-    let (whole, smaller) = (damping.tolerance.plus_minus, &damping.smaller);
-    assert!(smaller.noticed.as_ref().unwrap().contains("damping") && smaller.by > -whole, "{smaller:?}");
-    assert!(smaller.change.is_some());
-    let drawn = budget.drawn.as_ref().unwrap();
-    assert_eq!((drawn.count, drawn.unnoticed.len() + drawn.noticed.len()), (2, 2));
-    assert!(budget.total().force_peak > 0.0);
 }
 
 #[test]

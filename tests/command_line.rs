@@ -201,7 +201,12 @@ fn property_tolerances_are_followed_or_refused() {
         assert!(printed.contains(word), "`{word}` is missing in: {printed}");
     }
     assert_eq!(fs::read_to_string(out.join("tolerances.toml")).unwrap(), "[sensor]\ny_m = 0.05\n");
-    assert_eq!(fs::read_to_string(out.join("tolerances.csv")).unwrap().lines().count(), 3);
+    let table = || fs::read_to_string(out.join("tolerances.csv")).unwrap();
+    assert_eq!(table().lines().count(), 3);
+    // Those in the directory are taken where none are named.
+    fs::write(out.join("tolerances.toml"), "[sensor]\ny_m = 0.02\n").unwrap();
+    succeeds(&["analyse", text(&site), "--out", text(&out), "--tolerances"]);
+    assert!(table().contains("sensor.y_m,2.3,0.02,"), "{}", table());
 }
 
 /// One bad passage costs that passage, not the site.

@@ -17,6 +17,7 @@ mod tolerances;
 use std::path::Path;
 
 pub use forces::{ForceRow, read_forces};
+pub use tolerances::TOLERANCES_FILE;
 
 use crate::analysis::Analysis;
 use crate::recording::RecordingError;

@@ -94,19 +94,23 @@ fn check(crossing: &Crossing, tolerance: &Tolerance) -> Result<(), ToleranceErro
 const HALVINGS: usize = 3;
 
 fn outcome(site: &Site, known: &Analysis, tolerance: &Tolerance, by: f64) -> Outcome {
-    let unnoticed = |by: f64| -> Result<Change, String> {
+    largest_unnoticed(by, |by| {
         let other = described(site, &tolerance.entry, tolerance.value + by).map_err(|e| e.to_string())?;
         match attempt(&other, known) {
             Attempt { noticed: Some(words), .. } => Err(words),
             Attempt { change, .. } => change.ok_or_else(|| "the results are no numbers".into()),
         }
-    };
-    let noticed = match unnoticed(by) {
+    })
+}
+
+/// `change_by`: how far the results follow an error, or what is said of it.
+fn largest_unnoticed(by: f64, change_by: impl Fn(f64) -> Result<Change, String>) -> Outcome {
+    let noticed = match change_by(by) {
         Ok(change) => return Outcome { by, change: Some(change), noticed: None },
         Err(words) => Some(words),
     };
     let mut halves = (1..=HALVINGS).map(|n| by * 0.5f64.powi(n as i32));
-    match halves.find_map(|by| Some((by, unnoticed(by).ok()?))) {
+    match halves.find_map(|by| Some((by, change_by(by).ok()?))) {
         Some((by, change)) => Outcome { by, change: Some(change), noticed },
         None => Outcome { by: 0.0, change: None, noticed },
     }
@@ -168,4 +172,51 @@ fn remark(analysis: &Analysis) -> Option<String> {
     let flagged = |flag: &str| analysis.passages.iter().filter(|p| p.has_flag(flag)).count();
     let flag = [UNLIKE_MODEL, MODEL_GAP].into_iter().find(|flag| flagged(flag) > 0)?;
     Some(format!("{flag} ({} of {} passages)", flagged(flag), analysis.passages.len()))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+    use crate::recording::read_site;
+    use crate::signal::{mean, rms};
+
+    #[test]
+    fn analytic_what_would_be_noticed_is_halved() {
+        let noticed_from = |least: f64| {
+            move |by: f64| match by.abs() < least {
+                true => Ok(Change { force_peak: 0.1 * by, ..Change::default() }),
+                false => Err(format!("noticed {by}")),
+            }
+        };
+        let counted = |by: f64, least: f64| {
+            let outcome = largest_unnoticed(by, noticed_from(least));
+            (outcome.by, outcome.change.map(|c| c.force_peak), outcome.noticed)
+        };
+        assert_eq!(counted(-4.0, 5.0), (-4.0, Some(-0.4), None));
+        assert_eq!(counted(-4.0, 1.5), (-1.0, Some(-0.1), Some("noticed -4".into())));
+        assert_eq!(counted(4.0, 0.1), (0.0, None, Some("noticed 4".into())));
+    }
+
+    /// Nine tenths of a normal distribution lie within its tolerance; loads are all wrong by the same part.
+    #[test]
+    fn property_descriptions_are_drawn_within_their_tolerances() {
+        let dir = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/data/field/reference-1");
+        let mut site = read_site(&dir).unwrap();
+        site.passages.truncate(2);
+        let stated = "[sensor]\ny_m = 0.05\n[vehicle]\naxle_load_kg = \"2 %\"";
+        let tolerances = tolerances_of(Path::new("stated"), stated, &site.crossing).unwrap();
+        let draws: Vec<Site> = (0..400).map(|seed| drawn_site(&site, &tolerances, seed)).collect();
+        let off: Vec<f64> = draws.iter().map(|s| s.crossing.sensor.y_m - site.crossing.sensor.y_m).collect();
+        let inside = off.iter().filter(|d| d.abs() < 0.05).count();
+        assert!((340..=380).contains(&inside) && mean(&off).abs() < 0.1 * rms(&off), "{inside}");
+        for drawn in &draws {
+            let part = drawn.crossing.vehicle.axle_load_kg / site.crossing.vehicle.axle_load_kg;
+            for (a, b) in drawn.passages.iter().zip(&site.passages) {
+                assert!((a.axle_load_kg / b.axle_load_kg / part - 1.0).abs() < 1e-12);
+            }
+        }
+        assert_eq!(drawn_site(&site, &tolerances, 7).crossing, draws[7].crossing);
+    }
 }

@@ -48,7 +48,7 @@ impl AnalyseArgs {
         let read = site.skipped.len();
         let (site, included) = self.effects.included_in(site, Purpose::Analysis)?;
         warn_skipped(&site.skipped[read..]);
-        let tolerances = self.tolerances.of(&site.crossing)?;
+        let tolerances = self.tolerances.of(&site.crossing, &self.out)?;
         let mut analysis = pipeline::analyse(&site, &AnalyseOptions::default(), &Bar::new())
             .with_context(|| format!("cannot analyse site {}", self.site.display()))?;
         analysis.effects_included = included;
@@ -123,8 +123,8 @@ pub(super) fn warn_of_damping(damping: &DampingEstimate) {
         [damping.described_ns_m2, recorded.value, recorded.lower, recorded.upper].map(|d| 1e-3 * d);
     warn(&format!(
         "the recordings contradict the damping of the ballast in crossing.toml, {described:.0} kNs/m² per metre of sleeper: they speak for \
-         {value:.0} (90 %: {lower:.0} … {upper:.0}), which is used; correct ballast.damping_ns_m2, or what else may be wrong: where the crossing part \
-         begins and ends, its stiffness, the sleepers"
+         {value:.0} (90 %, all else being right: {lower:.0} … {upper:.0}), which is used; correct ballast.damping_ns_m2, or what else may be wrong: \
+         where the crossing part begins and ends, its stiffness, the sleepers. Until then intervals are wider"
     ));
 }
 

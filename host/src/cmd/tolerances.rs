@@ -7,9 +7,10 @@ use clap::Args;
 
 use super::output::warn;
 use super::progress::Bar;
-use crate::analysis::{Analysis, Budget, Tolerance};
+use crate::analysis::{Analysis, Budget, Consequence, Tolerance};
 use crate::recording::files::read_text;
 use crate::recording::{Crossing, Site};
+use crate::results::TOLERANCES_FILE;
 use crate::tolerances::{DRAWS, USUAL, budget, tolerances_of};
 
 /// Entries that the terminal names.
@@ -18,8 +19,8 @@ const NAMED: usize = 3;
 /// Whether to follow what crossing.toml may be wrong by.
 #[derive(Args)]
 pub(super) struct Tolerances {
-    /// Say how far the results follow what crossing.toml may be wrong by: as FILE has it, or as is usual, which is left in
-    /// DIR/tolerances.toml to be changed. Takes a hundred analyses, three minutes for 24 passages on two cores
+    /// Say how far the results follow what crossing.toml may be wrong by: as FILE has it [default: DIR/tolerances.toml; where there is none, one
+    /// with usual tolerances is left there, to be changed]. Takes a hundred analyses, some four minutes for 24 passages on two cores
     #[arg(long, value_name = "FILE", num_args = 0..=1, require_equals = true)]
     tolerances: Option<Option<PathBuf>>,
 }
@@ -31,10 +32,11 @@ pub(super) struct Stated {
 }
 
 impl Tolerances {
-    /// Those of a site, if they are asked for.
-    pub(super) fn of(&self, crossing: &Crossing) -> anyhow::Result<Option<Stated>> {
+    /// Those of a site, if they are asked for. `dir`: where its results go.
+    pub(super) fn of(&self, crossing: &Crossing, dir: &Path) -> anyhow::Result<Option<Stated>> {
         let Some(file) = &self.tolerances else { return Ok(None) };
-        let (file, text) = match file {
+        let own = dir.join(TOLERANCES_FILE);
+        let (file, text) = match file.as_ref().or(own.exists().then_some(&own)) {
             Some(file) => (file.as_path(), read_text(file).context("cannot read the tolerances")?),
             None => (Path::new("the usual tolerances"), USUAL.to_string()),
         };
@@ -60,9 +62,7 @@ pub(super) fn summary(analysis: &Analysis) -> String {
     let Some(budget) = &analysis.budget else { return String::new() };
     let total = budget.total();
     let [lower, upper] = budget.peak_force_n(&analysis.indicators.peak_force_n).map(|f| 1e-3 * f);
-    let name = |c: &crate::analysis::Consequence| {
-        format!("{} (±{:.1} %)", c.tolerance.entry, 100.0 * c.size().force_peak)
-    };
+    let name = |c: &Consequence| format!("{} (±{:.1} %)", c.tolerance.entry, 100.0 * c.size().force_peak);
     let first: Vec<String> = budget.consequences.iter().take(NAMED).map(name).collect();
     format!(
         "\ntolerances    with all that crossing.toml may be wrong by: force peak ±{:.1} % ({lower:.1} … {upper:.1} kN), irregularity ±{:.1} %,\n\

@@ -212,7 +212,7 @@ fn calibrate(
         damping = damping.borne_out(&free_fit, gained);
         if damping.is_denied() {
             passages.copy_from_slice(&found);
-            return Ok((free, free_fit, damping));
+            return Ok((free, free_fit.contradicting_the_description(), damping));
         }
     }
     passages.copy_from_slice(&described);

@@ -7,11 +7,17 @@ use crate::recording::RecordingError;
 use crate::recording::files::{remove, write_atomic};
 
 const TABLE: &str = "tolerances.csv";
+/// The tolerances themselves, which are the user's once they are there.
+pub const TOLERANCES_FILE: &str = "tolerances.toml";
 
-/// Writes both. Without a budget a table that an earlier analysis has left goes: it is not of these results. The tolerances stay.
+/// Writes the table, and the tolerances where there are none. Without a budget a table that an earlier analysis has left goes: it is not of
+/// these results.
 pub(super) fn write(dir: &Path, budget: Option<&Budget>) -> Result<(), RecordingError> {
     let Some(budget) = budget else { return remove(&dir.join(TABLE)) };
-    write_atomic(&dir.join("tolerances.toml"), budget.stated.as_bytes())?;
+    let stated = dir.join(TOLERANCES_FILE);
+    if !stated.exists() {
+        write_atomic(&stated, budget.stated.as_bytes())?;
+    }
     write_atomic(&dir.join(TABLE), &csv(budget))
 }
 

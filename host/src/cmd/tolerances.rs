@@ -20,7 +20,7 @@ const NAMED: usize = 3;
 #[derive(Args)]
 pub(super) struct Tolerances {
     /// Say how far the results follow what crossing.toml may be wrong by: as FILE has it [default: DIR/tolerances.toml; where there is none, one
-    /// with usual tolerances is left there, to be changed]. Takes a hundred analyses, some four minutes for 24 passages on two cores
+    /// with usual tolerances is left there, to be changed]. Takes a hundred analyses, some five minutes for 24 passages on two cores
     #[arg(long, value_name = "FILE", num_args = 0..=1, require_equals = true)]
     tolerances: Option<Option<PathBuf>>,
 }

@@ -3,7 +3,7 @@
 use crate::analysis::{Analysis, Budget, Consequence, Outcome, Tolerance};
 
 use super::ReportError;
-use super::page::{Figure, Key};
+use super::page::{Figure, Key, escape};
 use super::plot::{Axis, BLUE, GREY, INK, Layer, ORANGE, Plot, Point};
 use super::tables;
 
@@ -14,10 +14,11 @@ const SHOWN: usize = 10;
 pub(super) fn html(analysis: &Analysis) -> Result<String, ReportError> {
     let Some(budget) = &analysis.budget else { return Ok(String::new()) };
     Ok(format!(
-        "<h2>If crossing.toml is wrong</h2>\n<p>{}</p>\n{}{}",
+        "<h2>If crossing.toml is wrong</h2>\n<p>{}</p>\n{}{}{}",
         sentence(analysis, budget),
         figure(budget)?.html(),
-        table(budget)
+        table(budget),
+        noticed(budget)
     ))
 }
 
@@ -98,9 +99,8 @@ fn table(budget: &Budget) -> String {
         "irregularity, %",
         "ballast elsewhere, %",
         "under the crossing, %",
-        "what the analysis notices",
     ];
-    tables::plain(&head, &rows, |k| k == head.len() - 1)
+    tables::plain(&head, &rows, |_| false)
 }
 
 /// Changes with the entry smaller and larger.
@@ -113,15 +113,28 @@ fn row(c: &Consequence) -> Vec<String> {
     let t = &c.tolerance;
     let mut row = vec![t.entry.clone(), signed(format!("{} ± {}", short(t.value), short(t.plus_minus)))];
     row.extend((0..4).map(|k| both.map(|o| change(o, k)).join(", ")));
-    let [smaller, larger] = [("\u{2212}", &c.smaller), ("+", &c.larger)].map(|(sign, o)| noticed(sign, t, o));
-    row.push([smaller, larger].into_iter().flatten().collect::<Vec<_>>().join("; "));
     row
 }
 
-fn noticed(sign: &str, tolerance: &Tolerance, outcome: &Outcome) -> Option<String> {
-    let words = outcome.noticed.as_ref()?;
-    let (whole, part) = (short(tolerance.plus_minus), short(outcome.by.abs()));
-    Some(format!("{sign}{whole}: {words} (unnoticed: {sign}{part})"))
+/// What the analysis says of errors of a whole tolerance; empty where it says nothing.
+fn noticed(budget: &Budget) -> String {
+    let of = |sign: &str, t: &Tolerance, outcome: &Outcome| {
+        let words = outcome.noticed.as_ref()?;
+        let counts = match outcome.change {
+            Some(_) => format!("{sign}{} goes unnoticed and counts", short(outcome.by.abs())),
+            None => "so is an eighth of it, and nothing counts".into(),
+        };
+        let line = format!("{}, {sign}{}: {words}; {counts}.", t.entry, short(t.plus_minus));
+        Some(format!("<li>{}</li>\n", escape(&line)))
+    };
+    let both = |c: &Consequence| [of("\u{2212}", &c.tolerance, &c.smaller), of("+", &c.tolerance, &c.larger)];
+    let items: String = budget.consequences.iter().flat_map(both).flatten().collect();
+    match items.is_empty() {
+        true => String::new(),
+        false => {
+            format!("<p>Of errors as large as the tolerance the analysis notices:</p>\n<ul>\n{items}</ul>\n")
+        }
+    }
 }
 
 /// With a true minus sign.

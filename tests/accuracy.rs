@@ -15,7 +15,7 @@ use cpcm::recording::truth::{Truth, read_truth};
 use cpcm::recording::{Site, read_site};
 use cpcm::scoring::{Score, score, score_node};
 use cpcm::signal::{quantile, resample};
-use cpcm::tolerances::{DRAWS, budget, tolerances_of};
+use cpcm::tolerances::{budget, tolerances_of};
 use cpcm_shared::record::Record;
 use cpcm_shared::sample::{RAW_RATE_HZ, SensorCode};
 use cpcm_tests::compare::largest_difference;
@@ -171,7 +171,7 @@ fn reference_a_tolerance_holds_what_a_wrong_description_does() {
     let analysis = pipeline::analyse(&wrong, &AnalyseOptions::default(), &Silent).unwrap();
     let stated = "[rail]\ncrossing_part_stiffness_factor = \"25 %\"";
     let tolerances = tolerances_of(Path::new("stated"), stated, &wrong.crossing).unwrap();
-    let budget = budget(&wrong, &analysis, (&tolerances, stated), DRAWS, &Silent).unwrap();
+    let budget = budget(&wrong, &analysis, (&tolerances, stated), &Silent).unwrap();
     let ([error, half], further) = (score(&analysis, truth).mean_peak, budget.total().force_peak);
     println!("mean peak {error:+.4}, stated ± {half:.4}, tolerance ± {further:.4}");
     assert!(error.abs() > half && error.abs() < half.hypot(further));

@@ -2,9 +2,10 @@
 
 use std::path::Path;
 
-use cpcm::analysis::{Analysis, Budget, Change, Consequence, Drawn, Outcome, TOLERANCE_SDS, Tolerance};
+use cpcm::analysis::{Analysis, Budget, Change, Consequence, Drawn, Outcome, Tolerance};
 use cpcm::report::html;
 use cpcm::results::{ResultsError, read_forces, summary_json, write_results};
+use cpcm::signal::HALF_WIDTH_90;
 use cpcm_tests::rows;
 use cpcm_tests::sample::sample_analysis;
 use tempfile::TempDir;
@@ -232,7 +233,7 @@ fn reference_tolerances() {
     let stated = &json["tolerances"];
     assert_eq!(stated["file"], "tolerances.csv");
     assert_eq!((&stated["drawn"], &stated["unnoticed"]), (&12.into(), &10.into()));
-    assert!((stated["plus_minus"]["peak_force"].as_f64().unwrap() - 0.05 * TOLERANCE_SDS).abs() < 1e-12);
+    assert!((stated["plus_minus"]["peak_force"].as_f64().unwrap() - 0.05 * HALF_WIDTH_90).abs() < 1e-12);
     let mean = json["peak_force_n"]["mean"].as_f64().unwrap();
     let [lower, upper] = [0, 1].map(|k| stated["peak_force_mean90_n"][k].as_f64().unwrap());
     assert!(lower <= 0.95 * mean && upper >= 1.05 * mean, "{lower} {mean} {upper}");

@@ -8,7 +8,7 @@ use crate::identify::Misdescription;
 use crate::limits::UNLIKE_MODEL;
 use crate::recording::{Crossing, Scan, Skipped};
 
-pub use self::budget::{Budget, Change, Consequence, Drawn, Outcome, TOLERANCE_SDS, Tolerance};
+pub use self::budget::{Budget, Change, Consequence, Drawn, Outcome, Tolerance};
 
 /// Everything known about one site after the analysis.
 #[derive(Clone, Debug)]

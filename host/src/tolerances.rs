@@ -10,25 +10,25 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
-use crate::analysis::{Analysis, Budget, Change, Consequence, Drawn, Outcome, TOLERANCE_SDS, Tolerance};
+use crate::analysis::{Analysis, Budget, Change, Consequence, Drawn, Outcome, Tolerance};
 use crate::limits::{MODEL_GAP, UNLIKE_MODEL};
 use crate::pipeline::{AnalyseOptions, analyse};
 use crate::progress::{Progress, Silent};
 use crate::recording::{Crossing, RecordingError, Site};
+use crate::signal::HALF_WIDTH_90;
 
 /// The entry that recordings state themselves, each for its train: all of them are changed with it.
 const AXLE_LOAD: &str = "vehicle.axle_load_kg";
 
 /// Descriptions that are drawn: half of them may be noticed.
-pub const DRAWS: usize = 32;
+const DRAWS: u64 = 32;
 
 /// What follows of tolerances for a site that was analysed as described: two analyses for each, more where errors are noticed, and one for each
-/// of `draws` descriptions that are wrong by all at once. `stated`: the text of their file.
+/// of some descriptions that are wrong by all at once. `stated`: the text of their file.
 pub fn budget(
     site: &Site,
     known: &Analysis,
     (tolerances, stated): (&[Tolerance], &str),
-    draws: usize,
     progress: &dyn Progress,
 ) -> Result<Budget, ToleranceError> {
     tolerances.iter().try_for_each(|t| check(&site.crossing, t))?;
@@ -42,22 +42,16 @@ pub fn budget(
         Consequence { tolerance: tolerance.clone(), smaller, larger }
     };
     let consequences = tolerances.iter().map(consequence).collect();
-    let drawn = (tolerances.len() > 1).then(|| drawn(site, known, tolerances, draws, progress));
+    let drawn = (tolerances.len() > 1).then(|| drawn(site, known, tolerances, progress));
     Ok(Budget::new(consequences, drawn, stated))
 }
 
 /// The same descriptions every time.
-fn drawn(
-    site: &Site,
-    known: &Analysis,
-    tolerances: &[Tolerance],
-    draws: usize,
-    progress: &dyn Progress,
-) -> Drawn {
-    progress.begin("tolerances, all at once", draws as u64);
-    let mut drawn = Drawn { count: draws, unnoticed: Vec::new(), noticed: Vec::new() };
-    for seed in 0..draws {
-        let Attempt { change, noticed } = attempt(&drawn_site(site, tolerances, seed as u64), known);
+fn drawn(site: &Site, known: &Analysis, tolerances: &[Tolerance], progress: &dyn Progress) -> Drawn {
+    progress.begin("tolerances, all at once", DRAWS);
+    let mut drawn = Drawn { count: DRAWS as usize, unnoticed: Vec::new(), noticed: Vec::new() };
+    for seed in 0..DRAWS {
+        let Attempt { change, noticed } = attempt(&drawn_site(site, tolerances, seed), known);
         match noticed {
             None => drawn.unnoticed.extend(change),
             Some(_) => drawn.noticed.extend(change),
@@ -70,10 +64,12 @@ fn drawn(
 /// A site whose description is wrong by all tolerances, each at random; an entry that no panel can have stays as it is.
 pub fn drawn_site(site: &Site, tolerances: &[Tolerance], seed: u64) -> Site {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
-    tolerances.iter().fold(site.clone(), |site, t| {
+    let mut other = site.clone();
+    for t in tolerances {
         let draw: f64 = StandardNormal.sample(&mut random);
-        described(&site, &t.entry, t.value + t.plus_minus / TOLERANCE_SDS * draw).unwrap_or(site)
-    })
+        let _ = describe(&mut other, &t.entry, t.value + t.plus_minus / HALF_WIDTH_90 * draw);
+    }
+    other
 }
 
 /// Refuses a tolerance that is impossible either way; one way a sensor may be beyond the end of the sleeper.
@@ -95,7 +91,8 @@ const HALVINGS: usize = 3;
 
 fn outcome(site: &Site, known: &Analysis, tolerance: &Tolerance, by: f64) -> Outcome {
     largest_unnoticed(by, |by| {
-        let other = described(site, &tolerance.entry, tolerance.value + by).map_err(|e| e.to_string())?;
+        let mut other = site.clone();
+        describe(&mut other, &tolerance.entry, tolerance.value + by).map_err(|e| e.to_string())?;
         match attempt(&other, known) {
             Attempt { noticed: Some(words), .. } => Err(words),
             Attempt { change, .. } => change.ok_or_else(|| "the results are no numbers".into()),
@@ -131,15 +128,15 @@ fn attempt(other: &Site, known: &Analysis) -> Attempt {
     }
 }
 
-/// A site with another number in its description; refused where no crossing panel can have it.
-pub fn described(site: &Site, entry: &str, value: f64) -> Result<Site, RecordingError> {
+/// Puts another number into the description of a site; refused where no crossing panel can have it, and the site stays as it is.
+fn describe(site: &mut Site, entry: &str, value: f64) -> Result<(), RecordingError> {
     let crossing = site.crossing.with_number(entry, value)?;
-    let mut other = Site { crossing, ..site.clone() };
     if entry == AXLE_LOAD {
         let factor = value / site.crossing.vehicle.axle_load_kg;
-        other.passages.iter_mut().for_each(|p| p.axle_load_kg *= factor);
+        site.passages.iter_mut().for_each(|p| p.axle_load_kg *= factor);
     }
-    Ok(other)
+    site.crossing = crossing;
+    Ok(())
 }
 
 fn change(known: &Analysis, found: &Analysis) -> Option<Change> {

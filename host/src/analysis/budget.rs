@@ -1,7 +1,7 @@
 //! How far the results of a site follow what crossing.toml may be wrong by.
 
 use super::Spread;
-use crate::signal::HALF_WIDTH_90;
+use crate::signal::{self, HALF_WIDTH_90};
 
 /// What an entry of crossing.toml may be wrong by.
 #[derive(Clone, Debug, PartialEq)]
@@ -88,8 +88,6 @@ pub struct Drawn {
     pub noticed: Vec<Change>,
 }
 
-/// Tolerances are 90 % intervals: this many standard deviations of an error of the description.
-pub const TOLERANCE_SDS: f64 = HALF_WIDTH_90;
 /// Descriptions that speak for all: with fewer unnoticed ones those that are noticed count as well.
 const FEWEST: usize = 8;
 
@@ -114,16 +112,15 @@ impl Budget {
     /// Half widths of 90 % intervals that hold all tolerances and nothing else, over the results. Errors of one entry hide those of another
     /// from the analysis, so that together they do more than one by one.
     pub fn total(&self) -> Change {
-        let Some(drawn) = &self.drawn else { return rms(&self.sizes(), 1.0) };
+        let Some(drawn) = &self.drawn else {
+            let sizes: Vec<Change> = self.consequences.iter().map(Consequence::size).collect();
+            return rms(&sizes, 1.0);
+        };
         let mut counted = drawn.unnoticed.clone();
         if counted.len() < FEWEST {
             counted.extend(&drawn.noticed);
         }
-        rms(&counted, TOLERANCE_SDS)
-    }
-
-    fn sizes(&self) -> Vec<Change> {
-        self.consequences.iter().map(Consequence::size).collect()
+        rms(&counted, HALF_WIDTH_90)
     }
 
     /// 90 % interval of the mean force peak, tolerances included, newtons.
@@ -140,8 +137,7 @@ impl Budget {
 /// Root of the mean of the squares, times a factor: wrong descriptions move results in one direction rather than the other, which is an error
 /// as well.
 fn rms(changes: &[Change], factor: f64) -> Change {
-    let n = changes.len().max(1) as f64;
-    Change::each(changes, |c| factor * (c.iter().map(|v| v * v).sum::<f64>() / n).sqrt())
+    Change::each(changes, |c| factor * signal::rms(c))
 }
 
 /// The interval of a mean with a further error, relative to it, that is independent of it.
@@ -205,9 +201,9 @@ mod tests {
             Budget::new(Vec::new(), Some(Drawn { count: 20, unnoticed, noticed }), "").total()
         };
         let many = total(&[0.03, -0.03, 0.03, 0.03, -0.03, 0.03, 0.03, 0.03], &[0.5]);
-        assert!((many.force_peak - 0.03 * TOLERANCE_SDS).abs() < 1e-12, "{many:?}");
-        assert!((many.p1 - 0.06 * TOLERANCE_SDS).abs() < 1e-12, "{many:?}");
+        assert!((many.force_peak - 0.03 * HALF_WIDTH_90).abs() < 1e-12, "{many:?}");
+        assert!((many.p1 - 0.06 * HALF_WIDTH_90).abs() < 1e-12, "{many:?}");
         let few = total(&[0.01], &[0.07]);
-        assert!((few.force_peak - 0.05 * TOLERANCE_SDS).abs() < 1e-12, "{few:?}");
+        assert!((few.force_peak - 0.05 * HALF_WIDTH_90).abs() < 1e-12, "{few:?}");
     }
 }

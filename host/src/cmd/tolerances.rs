@@ -11,7 +11,7 @@ use crate::analysis::{Analysis, Budget, Consequence, Tolerance};
 use crate::recording::files::read_text;
 use crate::recording::{Crossing, Site};
 use crate::results::TOLERANCES_FILE;
-use crate::tolerances::{DRAWS, USUAL, budget, tolerances_of};
+use crate::tolerances::{USUAL, budget, tolerances_of};
 
 /// Entries that the terminal names.
 const NAMED: usize = 3;
@@ -53,7 +53,7 @@ impl Stated {
             return Ok(None);
         }
         let of = (self.tolerances.as_slice(), self.text.as_str());
-        Ok(Some(budget(site, analysis, of, DRAWS, &Bar::new()).context("cannot follow the tolerances")?))
+        Ok(Some(budget(site, analysis, of, &Bar::new()).context("cannot follow the tolerances")?))
     }
 }
 

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use super::files::{read_text, write_atomic};
+use super::files::{read_text, toml_table, write_atomic};
 use super::{Crossing, LEAST_RATE_HZ, RecordingError};
 
 /// Version of the format that this program reads and writes.
@@ -25,9 +25,7 @@ pub(super) fn read_crossing(file: &Path) -> Result<Crossing, RecordingError> {
 }
 
 fn parse_crossing(file: &Path, text: &str) -> Result<Crossing, RecordingError> {
-    let table: toml::Table = text
-        .parse()
-        .map_err(|e: toml::de::Error| RecordingError::Toml { file: file.into(), reason: e.to_string() })?;
+    let table = toml_table(file, text)?;
     let key = |key: String, reason: String| RecordingError::Key { file: file.into(), key, reason };
     let header =
         Header::deserialize(table.clone()).map_err(|e| key("format_version".into(), e.to_string()))?;

@@ -23,6 +23,12 @@ pub(crate) fn read_bytes(file: &Path) -> Result<Vec<u8>, RecordingError> {
     std::fs::read(file).map_err(io)
 }
 
+/// The tables of a TOML file's text; `file` is for messages.
+pub(crate) fn toml_table(file: &Path, text: &str) -> Result<toml::Table, RecordingError> {
+    text.parse()
+        .map_err(|e: toml::de::Error| RecordingError::Toml { file: file.into(), reason: e.to_string() })
+}
+
 /// Removes a file that may be there.
 pub(crate) fn remove(file: &Path) -> Result<(), RecordingError> {
     match std::fs::remove_file(file) {

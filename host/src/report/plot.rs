@@ -200,7 +200,7 @@ fn tick(value: f64, span: f64) -> String {
     format!("{}·10{power}", trimmed(digits))
 }
 
-fn trimmed(decimal: &str) -> String {
+pub(super) fn trimmed(decimal: &str) -> String {
     decimal.trim_end_matches('0').trim_end_matches('.').replace('-', "\u{2212}")
 }
 

@@ -4,7 +4,7 @@ use crate::analysis::{Analysis, Budget, Consequence, Outcome, Tolerance};
 
 use super::ReportError;
 use super::page::{Figure, Key, escape};
-use super::plot::{Axis, BLUE, GREY, INK, Layer, ORANGE, Plot, Point};
+use super::plot::{Axis, BLUE, GREY, INK, Layer, ORANGE, Plot, Point, trimmed};
 use super::tables;
 
 /// Entries in the figure: those with the largest consequences.
@@ -145,7 +145,7 @@ fn signed(number: String) -> String {
 /// Four digits.
 fn short(value: f64) -> String {
     match value == 0.0 || (1e-3..1e5).contains(&value.abs()) {
-        true => format!("{value:.3}").trim_end_matches('0').trim_end_matches('.').into(),
+        true => trimmed(&format!("{value:.3}")),
         false => format!("{value:.3e}"),
     }
 }

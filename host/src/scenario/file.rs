@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::effects::Effects;
 use crate::passage::SimulationError;
+use crate::recording::files::{read_text, toml_table};
 use crate::recording::{Crossing, RecordingError, read_crossing_file};
 
 /// What the operator believes and what is true.
@@ -215,10 +216,7 @@ struct Wrapper {
 /// Reads a scenario; a scan it names is looked up beside it.
 pub fn read_scenario(file: &Path) -> Result<Scenario, ScenarioError> {
     let crossing = read_crossing_file(file)?;
-    let text = crate::recording::files::read_text(file)?;
-    let table: toml::Table = text
-        .parse()
-        .map_err(|e: toml::de::Error| RecordingError::Toml { file: file.into(), reason: e.to_string() })?;
+    let table = toml_table(file, &read_text(file)?)?;
     if !table.contains_key("simulation") {
         return Err(ScenarioError::NoSimulation { file: file.into() });
     }

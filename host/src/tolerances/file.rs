@@ -2,10 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
-use toml::{Table, Value};
+use toml::Value;
 
 use crate::analysis::Tolerance;
-use crate::recording::files::quoted;
+use crate::recording::files::{quoted, toml_table};
 use crate::recording::{Crossing, RecordingError};
 
 /// Tolerances of usual size, to begin with: the text of a file.
@@ -15,8 +15,8 @@ pub const USUAL: &str = include_str!("usual.toml");
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs)]
 pub enum ToleranceError {
-    #[error("{file}: not valid TOML: {reason}")]
-    Toml { file: PathBuf, reason: String },
+    #[error(transparent)]
+    Toml(Box<RecordingError>),
 
     #[error(
         "{file}: states no tolerance; `cpcm analyse SITE --out DIR --tolerances` writes a tolerances.toml to begin with"
@@ -44,9 +44,7 @@ pub enum ToleranceError {
 
 /// Tolerances of the entries of `crossing` as the text of a file states them; `file` is for messages.
 pub fn tolerances_of(file: &Path, text: &str, crossing: &Crossing) -> Result<Vec<Tolerance>, ToleranceError> {
-    let table: Table = text
-        .parse()
-        .map_err(|e: toml::de::Error| ToleranceError::Toml { file: file.into(), reason: e.to_string() })?;
+    let table = toml_table(file, text).map_err(|e| ToleranceError::Toml(Box::new(e)))?;
     let mut tolerances = Vec::new();
     for (section, entries) in &table {
         let Value::Table(entries) = entries else {

@@ -170,7 +170,7 @@ fn reference_a_tolerance_holds_what_a_wrong_description_does() {
     wrong.crossing.rail.crossing_part_stiffness_factor *= 0.8;
     let analysis = pipeline::analyse(&wrong, &AnalyseOptions::default(), &Silent).unwrap();
     let stated = "[rail]\ncrossing_part_stiffness_factor = \"25 %\"";
-    let tolerances = tolerances_of(Path::new("stated"), stated, &wrong.crossing).unwrap();
+    let (tolerances, _) = tolerances_of(Path::new("stated"), stated, &wrong.crossing).unwrap();
     let budget = budget(&wrong, &analysis, (&tolerances, stated), &Silent).unwrap();
     let ([error, half], further) = (score(&analysis, truth).mean_peak, budget.total().force_peak);
     println!("mean peak {error:+.4}, stated ± {half:.4}, tolerance ± {further:.4}");

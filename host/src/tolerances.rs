@@ -4,7 +4,7 @@
 
 mod file;
 
-pub use file::{ToleranceError, USUAL, tolerances_of};
+pub use file::{ToleranceError, USUAL, of_nothing, tolerances_of};
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -203,7 +203,7 @@ mod tests {
         let mut site = read_site(&dir).unwrap();
         site.passages.truncate(2);
         let stated = "[sensor]\ny_m = 0.05\n[vehicle]\naxle_load_kg = \"2 %\"";
-        let tolerances = tolerances_of(Path::new("stated"), stated, &site.crossing).unwrap();
+        let (tolerances, _) = tolerances_of(Path::new("stated"), stated, &site.crossing).unwrap();
         let draws: Vec<Site> = (0..400).map(|seed| drawn_site(&site, &tolerances, seed)).collect();
         let off: Vec<f64> = draws.iter().map(|s| s.crossing.sensor.y_m - site.crossing.sensor.y_m).collect();
         let inside = off.iter().filter(|d| d.abs() < 0.05).count();

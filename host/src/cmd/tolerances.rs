@@ -11,7 +11,7 @@ use crate::analysis::{Analysis, Budget, Consequence, Tolerance};
 use crate::recording::files::read_text;
 use crate::recording::{Crossing, Site};
 use crate::results::TOLERANCES_FILE;
-use crate::tolerances::{USUAL, budget, tolerances_of};
+use crate::tolerances::{USUAL, budget, of_nothing, tolerances_of};
 
 /// Entries that the terminal names.
 const NAMED: usize = 3;
@@ -40,7 +40,11 @@ impl Tolerances {
             Some(file) => (file.as_path(), read_text(file).context("cannot read the tolerances")?),
             None => (Path::new("the usual tolerances"), USUAL.to_string()),
         };
-        let tolerances = tolerances_of(file, &text, crossing).context("cannot use the tolerances")?;
+        let (tolerances, nothing) =
+            tolerances_of(file, &text, crossing).context("cannot use the tolerances")?;
+        if !nothing.is_empty() {
+            warn(&format!("{}: {}; until then it counts as right", file.display(), of_nothing(&nothing)));
+        }
         Ok(Some(Stated { tolerances, text }))
     }
 }

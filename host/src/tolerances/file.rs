@@ -31,10 +31,8 @@ pub enum ToleranceError {
     )]
     Value { file: PathBuf, entry: String, value: String },
 
-    #[error(
-        "{file}: `{entry}` is 0 in crossing.toml, of which {value} is nothing; write a number in the unit of the entry"
-    )]
-    OfNothing { file: PathBuf, entry: String, value: String },
+    #[error("{file}: {}", of_nothing(entries))]
+    OfNothing { file: PathBuf, entries: Vec<String> },
 
     #[error(
         "no panel can have `{entry}` = {value} either less or more {plus_minus}; is the tolerance in the unit of the entry?"
@@ -42,23 +40,44 @@ pub enum ToleranceError {
     Impossible { entry: String, value: f64, plus_minus: f64, source: Box<RecordingError> },
 }
 
-/// Tolerances of the entries of `crossing` as the text of a file states them; `file` is for messages.
-pub fn tolerances_of(file: &Path, text: &str, crossing: &Crossing) -> Result<Vec<Tolerance>, ToleranceError> {
+/// What is wrong with per cent of entries that are 0.
+pub fn of_nothing(entries: &[String]) -> String {
+    let entries: Vec<String> = entries.iter().map(|e| format!("`{e}`")).collect();
+    format!(
+        "{} is 0 in crossing.toml, of which per cent are nothing; write a number in the unit of the entry",
+        entries.join(", ")
+    )
+}
+
+/// Tolerances of the entries of `crossing` as the text of a file states them, and the entries of which it states per cent that are 0, as
+/// usual tolerances may: these count as right. `file` is for messages.
+pub fn tolerances_of(
+    file: &Path,
+    text: &str,
+    crossing: &Crossing,
+) -> Result<(Vec<Tolerance>, Vec<String>), ToleranceError> {
     let table = toml_table(file, text).map_err(|e| ToleranceError::Toml(Box::new(e)))?;
-    let mut tolerances = Vec::new();
+    let (mut tolerances, mut nothing) = (Vec::new(), Vec::new());
     for (section, entries) in &table {
         let Value::Table(entries) = entries else {
             return Err(ToleranceError::Entry { file: file.into(), entry: quoted(section) });
         };
         for (key, value) in entries {
-            tolerances.push(tolerance(file, format!("{section}.{key}"), value, crossing)?);
+            let tolerance = tolerance(file, format!("{section}.{key}"), value, crossing)?;
+            match tolerance.plus_minus > 0.0 {
+                true => tolerances.push(tolerance),
+                false => nothing.push(tolerance.entry),
+            }
         }
     }
-    match tolerances.is_empty() {
-        true => Err(ToleranceError::Empty { file: file.into() }),
-        false => Ok(tolerances),
+    match (tolerances.is_empty(), nothing.is_empty()) {
+        (true, true) => Err(ToleranceError::Empty { file: file.into() }),
+        (true, false) => Err(ToleranceError::OfNothing { file: file.into(), entries: nothing }),
+        _ => Ok((tolerances, nothing)),
     }
 }
+
+/// Per cent of an entry that is 0 are 0.
 
 fn tolerance(
     file: &Path,
@@ -70,20 +89,15 @@ fn tolerance(
     let Some(value) = crossing.number(&entry) else {
         return Err(ToleranceError::Entry { file: file(), entry: quoted(&entry) });
     };
-    let words = || quoted(&stated.to_string());
-    let plus_minus = match stated {
-        Value::Float(number) => *number,
-        Value::Integer(number) => *number as f64,
-        Value::String(text) => match percent(text) {
-            Some(share) if share > 0.0 && value == 0.0 => {
-                return Err(ToleranceError::OfNothing { file: file(), entry, value: words() });
-            }
-            share => share.unwrap_or(f64::NAN) * value.abs(),
-        },
-        _ => f64::NAN,
+    let (stated_size, unit) = match stated {
+        Value::Float(number) => (*number, 1.0),
+        Value::Integer(number) => (*number as f64, 1.0),
+        Value::String(text) => (percent(text).unwrap_or(f64::NAN), value.abs()),
+        _ => (f64::NAN, 1.0),
     };
-    if !(plus_minus > 0.0 && plus_minus.is_finite()) {
-        return Err(ToleranceError::Value { file: file(), entry, value: words() });
+    let plus_minus = stated_size * unit;
+    if !(stated_size > 0.0 && plus_minus.is_finite()) {
+        return Err(ToleranceError::Value { file: file(), entry, value: quoted(&stated.to_string()) });
     }
     Ok(Tolerance { entry, value, plus_minus })
 }
@@ -106,7 +120,7 @@ mod tests {
     }
 
     fn read(text: &str) -> Result<Vec<Tolerance>, ToleranceError> {
-        tolerances_of(Path::new("t.toml"), text, &crossing())
+        tolerances_of(Path::new("t.toml"), text, &crossing()).map(|(tolerances, _)| tolerances)
     }
 
     #[test]
@@ -143,11 +157,20 @@ mod tests {
             let error = read(text).unwrap_err().to_string();
             assert!(error.starts_with("t.toml: ") && error.contains(word), "{text}: {error}");
         }
+    }
+
+    /// Usual tolerances were refused for a panel whose pads are described without damping.
+    #[test]
+    fn regress_per_cent_of_nothing_count_as_right() {
         let mut crossing = crossing();
-        crossing.track.crossing_sleeper_x_m = 0.0;
-        let text = "[track]\ncrossing_sleeper_x_m = \"5 %\"";
-        let error = tolerances_of(Path::new("t.toml"), text, &crossing).unwrap_err().to_string();
-        assert!(error.contains("is 0 in crossing.toml"), "{error}");
+        crossing.pad.damping_ns_m = 0.0;
+        let of = |text: &str| tolerances_of(Path::new("t.toml"), text, &crossing);
+        let (tolerances, nothing) = of(USUAL).unwrap();
+        assert_eq!((tolerances.len(), nothing), (20, vec!["pad.damping_ns_m".to_string()]));
+        assert!(tolerances.iter().all(|t| t.entry != "pad.damping_ns_m"));
+        assert_eq!(of("[pad]\ndamping_ns_m = 5e3").unwrap().0[0].plus_minus, 5e3);
+        let error = of("[pad]\ndamping_ns_m = \"5 %\"").unwrap_err().to_string();
+        assert!(error.starts_with("t.toml: `pad.damping_ns_m` is 0 in crossing.toml"), "{error}");
     }
 
     proptest! {

@@ -304,11 +304,10 @@ fn diagnose_trains(
         return Ok(out);
     }
     if searched {
-        let doubtful = site.scan.is_some() && session.scan_is_foreign(site, &before);
-        let open = doubtful.then(|| session.shared_squares()).transpose()?;
+        let doubt = if site.scan.is_some() { session.doubt_of_scan()? } else { None };
         session.search(progress)?;
-        if let Some(open) = open {
-            session.doubt_scan(open)?;
+        if let Some(doubt) = doubt {
+            session.settle_doubt(&doubt, site, &before)?;
         }
     }
     let node_gap = node_gap(site);

@@ -9,10 +9,13 @@ use crate::gap::base::{Base, Given, LEAST_SPEED_M_S, base, missed_at_best};
 use crate::gap::consistency::Strangers;
 use crate::gap::data::{Observed, energies};
 use crate::gap::fit::simulate;
+use crate::gap::forward::Response;
 use crate::gap::measure::ALIGN_M;
-use crate::gap::world::World;
+use crate::gap::world::{SensorModel, World};
 use crate::identify::{Descriptions, Heard, Misdescription};
 use crate::recording::{Site, TrafficDirection};
+use crate::signal::quantile;
+use crate::track::Side;
 use crate::vehicle::{AxlePattern, static_wheel_force_n};
 
 /// Passages needed to look for an effect.
@@ -45,6 +48,15 @@ fn other_direction(other_way: &[i32], described: TrafficDirection) -> String {
         "passages {other_way:?} run {reversed}, not {described}: for them, diagnose a copy of the site with these passages alone and \
          traffic_direction = \"{reversed}\" in crossing.toml"
     )
+}
+
+/// Why a scan may be another crossing's, as the search begins.
+pub(super) struct Doubt {
+    /// Part of the energy that the model misses which is common to all wheels.
+    common: f64,
+    /// Squares of it, relative to the signal.
+    open: f64,
+    sensor: SensorModel,
 }
 
 impl Session<'_> {
@@ -264,11 +276,24 @@ impl Session<'_> {
         true
     }
 
-    /// Takes back what the search has found where the scan must be another crossing's: another path predicts the recordings far
-    /// better, and what was found does not. `open` is how much of the residual all wheels shared before the search.
-    pub(super) fn doubt_scan(&mut self, open: f64) -> Result<(), GapError> {
-        let left = self.shared_squares()?;
-        if left < CLEARED * open {
+    /// Why the scan may be another crossing's: what the model misses over it is common to all wheels.
+    pub(super) fn doubt_of_scan(&self) -> Result<Option<Doubt>, GapError> {
+        let common = self.common_to_wheels(self.base).unwrap_or(0.0);
+        if common < FOREIGN_SCAN.0 {
+            return Ok(None);
+        }
+        Ok(Some(Doubt { common, open: self.shared_squares()?, sensor: self.base.frame.base.sensor }))
+    }
+
+    /// Takes back what the search has found where the scan must be another crossing's: what was found accounts for little, and another path
+    /// predicts the recordings far better. `before`: the model before the search.
+    pub(super) fn settle_doubt(
+        &mut self,
+        doubt: &Doubt,
+        site: &Site,
+        before: &World,
+    ) -> Result<(), GapError> {
+        if self.shared_squares()? < CLEARED * doubt.open || !self.scan_is_foreign(doubt, site, before) {
             return Ok(());
         }
         self.remarks.push(
@@ -287,44 +312,35 @@ impl Session<'_> {
         Ok((acceleration.all - acceleration.own).max(0.0))
     }
 
-    /// Whether another path than the scan's predicts the recordings far better.
-    pub(super) fn scan_is_foreign(&self, site: &Site, before: &World) -> bool {
-        let excess = |b: &Base| -> Option<f64> {
-            let world = b.fit.state.world(&b.frame, &[]);
-            let responses = simulate(&world, &b.frame, self.search).ok()?;
-            let residuals: Vec<Vec<Vec<f64>>> = self
-                .search
-                .iter()
-                .zip(&responses)
-                .map(|(i, r)| {
-                    let o = &b.frame.observed[*i];
-                    o.window_residuals(r, 1.0, o.lag(r, 1.0, ALIGN_M))
-                })
-                .collect();
-            let ratio = |w: &Vec<Vec<f64>>| {
-                let (all, shared) = energies(w);
-                shared / all.max(f64::MIN_POSITIVE)
-            };
-            Some(crate::signal::quantile(&residuals.iter().map(ratio).collect::<Vec<_>>(), 0.5))
+    /// Part of the energy of what a base model misses of the searched passages that is common to all wheels, median; none where that
+    /// cannot be simulated.
+    fn common_to_wheels(&self, base: &Base) -> Option<f64> {
+        let world = base.fit.state.world(&base.frame, &[]);
+        let responses = simulate(&world, &base.frame, self.search).ok()?;
+        let part = |(i, response): (&usize, &Response)| {
+            let o = &base.frame.observed[*i];
+            let (all, shared) = energies(&o.window_residuals(response, 1.0, o.lag(response, 1.0, ALIGN_M)));
+            shared / all.max(f64::MIN_POSITIVE)
         };
-        let with = excess(self.base).unwrap_or(0.0);
-        if with < FOREIGN_SCAN.0 {
-            return false;
-        }
-        let mut bare = site.clone();
-        bare.scan = None;
-        let sensor = self.base.frame.base.sensor;
-        let Ok(free) = base(&bare, self.search, self.search, &PATH_PRIOR, &Given::recorder(sensor)) else {
+        Some(quantile(&self.search.iter().zip(&responses).map(part).collect::<Vec<_>>(), 0.5))
+    }
+
+    /// Whether another path than the scan's predicts the recordings far better.
+    fn scan_is_foreign(&self, doubt: &Doubt, site: &Site, before: &World) -> bool {
+        let bare = Site { scan: None, ..site.clone() };
+        let given = Given::recorder(doubt.sensor);
+        let Ok(free) = base(&bare, self.search, self.search, &PATH_PRIOR, &given) else {
             return false;
         };
         let world = free.fit.state.world(&free.frame, &[]);
         let (mut off, mut own) = (0.0, 0.0);
         for k in -40..=40 {
             let x = 0.3 + 0.01 * f64::from(k);
-            let (a, b) = (before.path.scan.at(x), world.path.at(crate::track::Side::Crossing, x));
+            let (a, b) = (before.path.scan.at(x), world.path.at(Side::Crossing, x));
             off += (a - b).powi(2);
             own += a * a;
         }
-        off > FOREIGN_SCAN.1 * own && excess(&free).is_some_and(|without| without < FOREIGN_SCAN.2 * with)
+        let better = |common: f64| common < FOREIGN_SCAN.2 * doubt.common;
+        off > FOREIGN_SCAN.1 * own && self.common_to_wheels(&free).is_some_and(better)
     }
 }

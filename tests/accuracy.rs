@@ -160,7 +160,6 @@ fn reference_damping_that_is_described_wrong_is_found() {
     }
 }
 
-/// All three sites, over stiff and soft pads and with wheels that lose contact, against what is asked of the method.
 /// With a crossing part that is described a fifth too soft the stated interval misses the true mean peak, and the one with its tolerance holds it.
 #[test]
 fn reference_a_tolerance_holds_what_a_wrong_description_does() {
@@ -171,7 +170,7 @@ fn reference_a_tolerance_holds_what_a_wrong_description_does() {
     let analysis = pipeline::analyse(&wrong, &AnalyseOptions::default(), &Silent).unwrap();
     let stated = "[rail]\ncrossing_part_stiffness_factor = \"25 %\"";
     let (tolerances, _) = tolerances_of(Path::new("stated"), stated, &wrong.crossing).unwrap();
-    let budget = budget(&wrong, &analysis, (&tolerances, stated), &Silent).unwrap();
+    let budget = budget(&wrong, &analysis, (&tolerances, stated), &Silent);
     let ([error, half], further) = (score(&analysis, truth).mean_peak, budget.total().force_peak);
     println!("mean peak {error:+.4}, stated ± {half:.4}, tolerance ± {further:.4}");
     assert!(error.abs() > half && error.abs() < half.hypot(further));
@@ -181,6 +180,7 @@ fn reference_a_tolerance_holds_what_a_wrong_description_does() {
     }
 }
 
+/// All three sites, over stiff and soft pads and with wheels that lose contact, against what is asked of the method.
 #[test]
 fn reference_every_site_is_identified_within_its_intervals() {
     let others = ["reference-2", "reference-3"].map(|name| {

@@ -14,7 +14,7 @@ use crate::analysis::{Analysis, Budget, Change, Consequence, Drawn, Outcome, Tol
 use crate::limits::{MODEL_GAP, UNLIKE_MODEL};
 use crate::pipeline::{AnalyseOptions, analyse};
 use crate::progress::{Progress, Silent};
-use crate::recording::{Crossing, RecordingError, Site};
+use crate::recording::{RecordingError, Site};
 use crate::signal::HALF_WIDTH_90;
 
 /// The entry that recordings state themselves, each for its train: all of them are changed with it.
@@ -30,8 +30,7 @@ pub fn budget(
     known: &Analysis,
     (tolerances, stated): (&[Tolerance], &str),
     progress: &dyn Progress,
-) -> Result<Budget, ToleranceError> {
-    tolerances.iter().try_for_each(|t| check(&site.crossing, t))?;
+) -> Budget {
     progress.begin("tolerances, one by one", 2 * tolerances.len() as u64);
     let consequence = |tolerance: &Tolerance| {
         let [smaller, larger] = [-tolerance.plus_minus, tolerance.plus_minus].map(|by| {
@@ -43,7 +42,7 @@ pub fn budget(
     };
     let consequences = tolerances.iter().map(consequence).collect();
     let drawn = (tolerances.len() > 1).then(|| drawn(site, known, tolerances, progress));
-    Ok(Budget::new(consequences, drawn, stated))
+    Budget::new(consequences, drawn, stated)
 }
 
 /// The same descriptions every time.
@@ -70,20 +69,6 @@ pub fn drawn_site(site: &Site, tolerances: &[Tolerance], seed: u64) -> Site {
         let _ = describe(&mut other, &t.entry, t.value + t.plus_minus / HALF_WIDTH_90 * draw);
     }
     other
-}
-
-/// Refuses a tolerance that is impossible either way; one way a sensor may be beyond the end of the sleeper.
-fn check(crossing: &Crossing, tolerance: &Tolerance) -> Result<(), ToleranceError> {
-    let Tolerance { entry, value, plus_minus } = tolerance;
-    match [-plus_minus, *plus_minus].map(|by| crossing.with_number(entry, value + by)) {
-        [Err(source), Err(_)] => Err(ToleranceError::Impossible {
-            entry: entry.clone(),
-            value: *value,
-            plus_minus: *plus_minus,
-            source: Box::new(source),
-        }),
-        _ => Ok(()),
-    }
 }
 
 /// Halvings of a tolerance whose error is noticed, at most.
@@ -153,22 +138,18 @@ fn change(known: &Analysis, found: &Analysis) -> Option<Change> {
     change.is_finite().then_some(change)
 }
 
-/// What the analysis with another description says that it does not say of the site as described.
+/// What the analysis with another description says that it does not say of the site as described, of which it may say something itself.
 pub fn said(known: &Analysis, found: &Analysis) -> Option<String> {
-    remark(found).filter(|_| !found.means_something() || remark(known).is_none())
-}
-
-fn remark(analysis: &Analysis) -> Option<String> {
-    if let Some(other) = &analysis.misdescription {
+    if let Some(other) = &found.misdescription {
         return Some(other.to_string());
     }
-    let damping = &analysis.ballast.damping;
-    if damping.contradicts_description() {
+    let [damping, before] = [found, known].map(|a| &a.ballast.damping);
+    if damping.contradicts_description() && !before.contradicts_description() {
         return Some(format!("damping {:.0} kNs/m² instead", 1e-3 * damping.used_ns_m2));
     }
-    let flagged = |flag: &str| analysis.passages.iter().filter(|p| p.has_flag(flag)).count();
-    let flag = [UNLIKE_MODEL, MODEL_GAP].into_iter().find(|flag| flagged(flag) > 0)?;
-    Some(format!("{flag} ({} of {} passages)", flagged(flag), analysis.passages.len()))
+    let flagged = |a: &Analysis, flag: &str| a.passages.iter().filter(|p| p.has_flag(flag)).count();
+    let flag = [UNLIKE_MODEL, MODEL_GAP].into_iter().find(|f| flagged(found, f) > flagged(known, f))?;
+    Some(format!("{flag} ({} of {} passages)", flagged(found, flag), found.passages.len()))
 }
 
 #[cfg(test)]

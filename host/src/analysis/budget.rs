@@ -88,7 +88,32 @@ pub struct Drawn {
     pub noticed: Vec<Change>,
 }
 
-/// Descriptions that speak for all: with fewer unnoticed ones those that are noticed count as well.
+impl Drawn {
+    /// What counts: with few that go unnoticed those that are noticed as well; none where there are few of both.
+    fn counted(&self) -> Option<Vec<Change>> {
+        let mut counted = self.unnoticed.clone();
+        if counted.len() < FEWEST {
+            counted.extend(&self.noticed);
+        }
+        (counted.len() >= FEWEST).then_some(counted)
+    }
+
+    /// Which of the descriptions the total is of, in words.
+    pub fn of_which(&self) -> String {
+        let (unnoticed, results) = (self.unnoticed.len(), self.unnoticed.len() + self.noticed.len());
+        match (unnoticed < FEWEST, results < FEWEST) {
+            (false, _) => format!("of which {unnoticed} go unnoticed"),
+            (true, false) => {
+                format!("of which only {unnoticed} go unnoticed, so that all {results} with results count")
+            }
+            (true, true) => format!(
+                "of which only {results} have results: too few, so that the consequences of single entries are added up in squares instead"
+            ),
+        }
+    }
+}
+
+/// Descriptions that speak for all.
 const FEWEST: usize = 8;
 
 /// What follows of all tolerances.
@@ -112,15 +137,11 @@ impl Budget {
     /// Half widths of 90 % intervals that hold all tolerances and nothing else, over the results. Errors of one entry hide those of another
     /// from the analysis, so that together they do more than one by one.
     pub fn total(&self) -> Change {
-        let Some(drawn) = &self.drawn else {
-            let sizes: Vec<Change> = self.consequences.iter().map(Consequence::size).collect();
-            return rms(&sizes, 1.0);
-        };
-        let mut counted = drawn.unnoticed.clone();
-        if counted.len() < FEWEST {
-            counted.extend(&drawn.noticed);
+        if let Some(counted) = self.drawn.as_ref().and_then(Drawn::counted) {
+            return rms(&counted, HALF_WIDTH_90);
         }
-        rms(&counted, HALF_WIDTH_90)
+        let sizes: Vec<Change> = self.consequences.iter().map(Consequence::size).collect();
+        rms(&sizes, (sizes.len() as f64).sqrt())
     }
 
     /// 90 % interval of the mean force peak, tolerances included, newtons.
@@ -203,7 +224,18 @@ mod tests {
         let many = total(&[0.03, -0.03, 0.03, 0.03, -0.03, 0.03, 0.03, 0.03], &[0.5]);
         assert!((many.force_peak - 0.03 * HALF_WIDTH_90).abs() < 1e-12, "{many:?}");
         assert!((many.p1 - 0.06 * HALF_WIDTH_90).abs() < 1e-12, "{many:?}");
-        let few = total(&[0.01], &[0.07]);
+        let few = total(&[0.01; 4], &[0.07; 4]);
         assert!((few.force_peak - 0.05 * HALF_WIDTH_90).abs() < 1e-12, "{few:?}");
+    }
+
+    /// Tolerances with which next to no description has results were followed by ± 0 %.
+    #[test]
+    fn regress_without_drawn_results_entries_are_added_up() {
+        let entries =
+            || vec![consequence("a", [Some(-0.03), Some(0.03)]), consequence("b", [Some(0.04), Some(0.04)])];
+        let drawn = Drawn { count: 32, unnoticed: Vec::new(), noticed: changes(&[0.5]) };
+        assert!(drawn.of_which().contains("too few"), "{}", drawn.of_which());
+        let budget = Budget::new(entries(), Some(drawn), "");
+        assert!((budget.total().force_peak - 0.05).abs() < 1e-12, "{:?}", budget.total());
     }
 }

@@ -14,7 +14,7 @@ use crate::gap::corrected::Purpose;
 use crate::limits::{MODEL_GAP, OTHER_DIRECTION, UNLIKE_DESCRIPTION, UNLIKE_MODEL};
 use crate::pipeline::{self, AnalyseOptions};
 use crate::recording::files::check_dir;
-use crate::recording::read_site;
+use crate::recording::{TrafficDirection, read_site};
 use crate::results::{summary_json, write_results};
 
 /// Analyse the recordings of one crossing: ballast, contact forces, irregularity, condition
@@ -72,15 +72,7 @@ fn warn_unexplained(analysis: &Analysis) {
         flagged.map(|p| p.passage_id.to_string()).collect()
     };
     let other_way = flagged(OTHER_DIRECTION);
-    if !other_way.is_empty() {
-        let described = analysis.crossing.traffic_direction;
-        let other = described.reversed();
-        warn(&format!(
-            "passages {} run {other}, not {described} (flag {OTHER_DIRECTION}) and are left out; for them, analyse a copy of the site with \
-             traffic_direction = \"{other}\" in crossing.toml",
-            other_way.join(", ")
-        ));
-    }
+    warn_of_other_way(&other_way, analysis.crossing.traffic_direction);
     let (mut unlike, all) = (flagged(UNLIKE_MODEL), analysis.passages.len() - other_way.len());
     unlike.retain(|id| !other_way.contains(id));
     if !unlike.is_empty() {
@@ -111,6 +103,19 @@ fn warn_unexplained(analysis: &Analysis) {
              not hold, and forces may be wrong by more than their intervals; `cpcm diagnose` may say what"
         ));
     }
+}
+
+/// Says on standard error which passages run in the other direction than the panel is described for.
+pub(super) fn warn_of_other_way(passages: &[String], described: TrafficDirection) {
+    if passages.is_empty() {
+        return;
+    }
+    let other = described.reversed();
+    warn(&format!(
+        "passages {} run {other}, not {described} (flag {OTHER_DIRECTION}) and are left out; for them, take a copy of the site with \
+         traffic_direction = \"{other}\" in crossing.toml",
+        passages.join(", ")
+    ));
 }
 
 /// Says on standard error that crossing.toml states another damping than recordings speak for.

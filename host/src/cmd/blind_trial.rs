@@ -64,7 +64,7 @@ impl BlindTrialArgs {
         if !self.resume && scores.exists() {
             bail!(
                 "{} holds the scores of another run, which this one would replace; choose another --out, or go on with that one \
-                 (--resume)",
+                 (--resume), if it is of this build",
                 scores.display()
             );
         }
@@ -132,7 +132,14 @@ impl BlindTrialArgs {
         let same = |r: &Record| {
             r.panels == self.panels && r.seed == self.seed && r.version == version && r.trial < self.trials
         };
-        Ok(records.into_iter().filter(same).map(|r| (r.trial, r.score)).collect())
+        let others = records.iter().filter(|r| !same(r)).count();
+        if others > 0 {
+            bail!(
+                "{} holds {others} trials of another build, seed, kind of panels, or beyond --trials, which would be lost; choose another --out",
+                path.display()
+            );
+        }
+        Ok(records.into_iter().map(|r| (r.trial, r.score)).collect())
     }
 
     fn write(&self, done: &BTreeMap<u64, Score>, version: &str) -> anyhow::Result<()> {

@@ -31,7 +31,7 @@ pub(super) struct DemoArgs {
     /// Directory for recordings and results; created when missing
     #[arg(long, value_name = "DIR", default_value = "cpcm-demo")]
     out: PathBuf,
-    /// Print the peaks and the summary as JSON
+    /// Print the condition and the peaks, beside the true ones, as JSON
     #[arg(long)]
     json: bool,
 }

@@ -36,7 +36,7 @@ pub(super) struct DiagnoseArgs {
     #[arg(long)]
     quick: bool,
     /// Leave an effect out of the catalogue; may be given more than once
-    #[arg(long = "exclude", value_name = "EFFECT", value_parser = PossibleValuesParser::new(names()))]
+    #[arg(long = "exclude", value_name = "EFFECT", conflicts_with = "quick", value_parser = PossibleValuesParser::new(names()))]
     exclude: Vec<String>,
     /// Measured receptance of the track: hits on the head of the crossing rail, read by the site's sensor. One CSV file per hit
     /// (time_s,force_n,acceleration_m_s2), an estimate (frequency_hz,real_m_n,imaginary_m_n,coherence), or a universal file
@@ -48,7 +48,7 @@ pub(super) struct DiagnoseArgs {
     hammer_x: Option<f64>,
     /// Also analyse the site without and with the effects found, and say what they change in force peaks, irregularity and
     /// ballast
-    #[arg(long)]
+    #[arg(long, conflicts_with = "quick")]
     consequences: bool,
     /// Print diagnosis.json
     #[arg(long)]

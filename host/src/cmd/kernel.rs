@@ -6,12 +6,12 @@ use anyhow::Context;
 use clap::Args;
 use serde_json::json;
 
-use super::analyse::warn_of_damping;
+use super::analyse::{warn_of_damping, warn_of_other_way};
 use super::output::{print, print_json, warn, warn_skipped};
 use super::progress::Bar;
 use super::with_effects::Effects;
 use crate::gap::corrected::Purpose;
-use crate::identify::identify;
+use crate::identify::{IdentifiedSite, identify};
 use crate::kernel::SENSOR_RANGE_M_S2;
 use crate::pipeline;
 use crate::recording::files::{check_file, write_atomic};
@@ -47,6 +47,7 @@ impl KernelArgs {
         let identified = identify(&site, &bar).with_context(cannot)?;
         let package = pipeline::package(&identified, &bar).with_context(cannot)?;
         drop(bar);
+        warn_of_left_out(&identified);
         warn_of_damping(&pipeline::damping_estimate(&identified));
         write_atomic(&self.out, &package.bytes).context("cannot write the kernel package")?;
         if let [slowest, .., fastest] | [slowest @ fastest] = &package.outside_m_s[..] {
@@ -84,5 +85,29 @@ impl KernelArgs {
             "{file}: kernel package of {bytes} bytes for site {}, trains of {slowest:.1} to {fastest:.1} m/s{with}\n",
             site.crossing.name
         ))
+    }
+}
+
+/// Says on standard error which recordings the kernel is not of.
+fn warn_of_left_out(identified: &IdentifiedSite) {
+    let passages = &identified.site.passages;
+    let ids = |wanted: &dyn Fn(&usize) -> bool| -> Vec<String> {
+        (0..passages.len()).filter(wanted).map(|i| passages[i].passage_id.to_string()).collect()
+    };
+    let other_way = |i: &usize| identified.other_way.contains(i);
+    let described = identified.site.crossing.traffic_direction;
+    warn_of_other_way(&ids(&other_way), described);
+    if !identified.other_way.is_empty() {
+        warn(&format!(
+            "the node applies the kernel to every train: its results of those that run {} are wrong",
+            described.reversed()
+        ));
+    }
+    let unlike = ids(&|i| !other_way(i) && !identified.explains(*i));
+    if !unlike.is_empty() {
+        warn(&format!(
+            "the model does not explain the recordings of passages {}, which the kernel is not of; see `cpcm analyse`",
+            unlike.join(", ")
+        ));
     }
 }

@@ -36,7 +36,8 @@ pub(super) fn figure(indicators: &Indicators) -> Result<Figure, ReportError> {
     };
     Ok(Figure {
         title: "Condition indicators".into(),
-        caption: "Over all wheelsets. Left of the threshold is healthy.".into(),
+        caption: "Over all wheelsets. Up to nine tenths of both thresholds is healthy, beyond both damaged."
+            .into(),
         keys: vec![
             Key::dot("mean", BLUE),
             Key::band("middle 80 % of the wheelsets", BLUE),

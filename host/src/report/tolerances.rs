@@ -27,7 +27,7 @@ fn sentence(analysis: &Analysis, budget: &Budget) -> String {
     let force = budget.peak_force_n(&i.peak_force_n).map(|f| 1e-3 * f);
     let rms = budget.irregularity_rms_m(&i.irregularity_rms_m).map(|z| 1e6 * z);
     format!(
-        "All intervals on this page are of the panel as crossing.toml describes it. With what that may be wrong by (tolerances.toml, as ± in nine \
+        "All intervals on this page are of the panel as crossing.toml describes it. With what that may be wrong by (tolerances.csv, as ± in nine \
          of ten cases) the mean force peak is {:.1}\u{2013}{:.1} kN and the mean irregularity {:.1}\u{2013}{:.1} µm RMS (90 %): ±{:.1} % and ±{:.1} % \
          come of the description alone; of the ballast ±{:.0} % elsewhere and ±{:.0} % under the crossing.{}",
         force[0],
@@ -45,9 +45,9 @@ fn sentence(analysis: &Analysis, budget: &Budget) -> String {
 fn drawn(budget: &Budget) -> String {
     let Some(drawn) = &budget.drawn else { return String::new() };
     format!(
-        " Those are of {} descriptions that are wrong by all at once, at random, of which {} go unnoticed.",
+        " Those are of {} descriptions that are wrong by all at once, at random, {}.",
         drawn.count,
-        drawn.unnoticed.len()
+        drawn.of_which()
     )
 }
 

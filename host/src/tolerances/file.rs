@@ -35,9 +35,9 @@ pub enum ToleranceError {
     OfNothing { file: PathBuf, entries: Vec<String> },
 
     #[error(
-        "no panel can have `{entry}` = {value} either less or more {plus_minus}; is the tolerance in the unit of the entry?"
+        "{file}: no panel can have `{entry}` = {value} either less or more {plus_minus}; is the tolerance in the unit of the entry?"
     )]
-    Impossible { entry: String, value: f64, plus_minus: f64, source: Box<RecordingError> },
+    Impossible { file: PathBuf, entry: String, value: f64, plus_minus: f64, source: Box<RecordingError> },
 }
 
 /// What is wrong with per cent of entries that are 0.
@@ -77,8 +77,7 @@ pub fn tolerances_of(
     }
 }
 
-/// Per cent of an entry that is 0 are 0.
-
+/// Per cent of an entry that is 0 are 0. Refused is what is impossible either way; one way a sensor may be beyond the end of the sleeper.
 fn tolerance(
     file: &Path,
     entry: String,
@@ -99,7 +98,16 @@ fn tolerance(
     if !(stated_size > 0.0 && plus_minus.is_finite()) {
         return Err(ToleranceError::Value { file: file(), entry, value: quoted(&stated.to_string()) });
     }
-    Ok(Tolerance { entry, value, plus_minus })
+    match [-plus_minus, plus_minus].map(|by| crossing.with_number(&entry, value + by)) {
+        [Err(source), Err(_)] => Err(ToleranceError::Impossible {
+            file: file(),
+            entry,
+            value,
+            plus_minus,
+            source: Box::new(source),
+        }),
+        _ => Ok(Tolerance { entry, value, plus_minus }),
+    }
 }
 
 /// `5 %`, as a share.
@@ -153,6 +161,7 @@ mod tests {
             ("[sensor]\ny_m = \"5\"", "is no tolerance"),
             ("[sensor]\ny_m = \"-5 %\"", "is no tolerance"),
             ("[sensor]\ny_m = [5]", "is no tolerance"),
+            ("[sensor]\ny_m = 50", "in the unit of the entry?"),
         ] {
             let error = read(text).unwrap_err().to_string();
             assert!(error.starts_with("t.toml: ") && error.contains(word), "{text}: {error}");

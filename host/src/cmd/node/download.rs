@@ -34,16 +34,6 @@ pub(super) struct DownloadArgs {
 impl DownloadArgs {
     pub(super) fn run(self) -> anyhow::Result<()> {
         let mut client = self.line.open()?;
-        let file = self.out.join("records.bin");
-        let lost = client.not_listed(&file, self.since)?;
-        if lost > 0 {
-            bail!(
-                "{} holds {lost} records that the node does not list from sequence {} on (overwritten since, or of another node), and \
-                 would lose them; give another directory",
-                file.display(),
-                self.since
-            );
-        }
         let downloaded = download_into(&mut client, &self.out, self.since)?;
         if self.json {
             return print_json(&summary(&self.out, &downloaded));
@@ -52,12 +42,21 @@ impl DownloadArgs {
     }
 }
 
-/// Writes `records.bin` and `records.parquet` into `out`.
+/// Writes `records.bin` and `records.parquet` into `out`, unless records that are there would be lost.
 pub(super) fn download_into(client: &mut NodeClient, out: &Path, since: u32) -> anyhow::Result<Downloaded> {
     std::fs::create_dir_all(out).with_context(|| format!("cannot create {}", out.display()))?;
+    let file = out.join("records.bin");
+    let lost = client.not_listed(&file, since)?;
+    if lost > 0 {
+        bail!(
+            "{} holds {lost} records that the node does not list from sequence {since} on (overwritten since, or of another node), and \
+             would lose them; give another directory",
+            file.display()
+        );
+    }
     let bar = bytes_bar("download");
     let downloaded = client
-        .download(&out.join("records.bin"), since, &mut bar.on_piece())
+        .download(&file, since, &mut bar.on_piece())
         .context("the download is not complete; the same command goes on where it was")?;
     drop(bar);
     write_records_parquet(&out.join("records.parquet"), &downloaded.records)?;

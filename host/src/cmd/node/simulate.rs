@@ -45,7 +45,7 @@ pub(super) struct SimulateArgs {
     /// Firmware for --qemu; without it, where `cargo fw-qemu` puts it
     #[arg(long, value_name = "FILE", requires = "qemu", env = "CPCM_NODE_ELF")]
     elf: Option<PathBuf>,
-    /// Afterwards answer on this TCP address, or on a pseudo-terminal with “pty”
+    /// Afterwards answer on this TCP address, as 127.0.0.1:7000, or on a pseudo-terminal with “pty” (not on Windows)
     #[arg(long, value_name = "ADDRESS", conflicts_with = "qemu", value_parser = listening)]
     listen: Option<Listening>,
     /// Print a summary as JSON
@@ -136,7 +136,7 @@ enum Listening {
 }
 
 fn listening(text: &str) -> Result<Listening, String> {
-    match (text, text.parse()) {
+    match (text, text.strip_prefix("tcp:").unwrap_or(text).parse()) {
         #[cfg(unix)]
         ("pty", _) => Ok(Listening::PseudoTerminal),
         (_, Ok(address)) => Ok(Listening::Tcp(address)),

@@ -197,7 +197,8 @@ fn property_tolerances_are_followed_or_refused() {
     }
     fs::write(&file, "[sensor]\ny_m = 0.05\n").unwrap();
     let printed = succeeds(&args);
-    for word in ["tolerances    what crossing.toml may be wrong by alone", "force peak ±", "sensor.y_m (±"] {
+    for word in ["tolerances    what crossing.toml may be wrong by alone", "force peak ±", "sensor.y_m (±"]
+    {
         assert!(printed.contains(word), "`{word}` is missing in: {printed}");
     }
     assert_eq!(fs::read_to_string(out.join("tolerances.toml")).unwrap(), "[sensor]\ny_m = 0.05\n");

@@ -159,6 +159,11 @@ fn regress_records_that_a_download_would_lose_are_counted() {
     assert_eq!(client.not_listed(&file, 0).unwrap(), 0);
     let later = client.list(0).unwrap()[10].sequence;
     assert_eq!(client.not_listed(&file, later).unwrap(), 10);
+    // Sound records behind a damaged one were replaced as well.
+    let mut damaged = whole.clone();
+    damaged[40] ^= 1;
+    fs::write(&file, damaged).unwrap();
+    assert_eq!(client.not_listed(&file, 0).unwrap(), 1);
 }
 
 /// A node whose sensor gives no samples refuses the clock; it was said to be silent.

@@ -17,8 +17,9 @@ use crate::progress::{Progress, Silent};
 use crate::recording::{RecordingError, Site};
 use crate::signal::HALF_WIDTH_90;
 
-/// The entry that recordings state themselves, each for its train: all of them are changed with it.
+/// Entries that recordings state themselves, each for its train: all of them are changed with these.
 const AXLE_LOAD: &str = "vehicle.axle_load_kg";
+const SAMPLE_RATE: &str = "sensor.sample_rate_hz";
 
 /// Descriptions that are drawn: half of them may be noticed.
 const DRAWS: u64 = 32;
@@ -116,9 +117,15 @@ fn attempt(other: &Site, known: &Analysis) -> Attempt {
 /// Puts another number into the description of a site; refused where no crossing panel can have it, and the site stays as it is.
 fn describe(site: &mut Site, entry: &str, value: f64) -> Result<(), RecordingError> {
     let crossing = site.crossing.with_number(entry, value)?;
-    if entry == AXLE_LOAD {
-        let factor = value / site.crossing.vehicle.axle_load_kg;
-        site.passages.iter_mut().for_each(|p| p.axle_load_kg *= factor);
+    let before = &site.crossing;
+    let [load, rate] = match entry {
+        AXLE_LOAD => [value / before.vehicle.axle_load_kg, 1.0],
+        SAMPLE_RATE => [1.0, value / before.sensor.sample_rate_hz],
+        _ => [1.0, 1.0],
+    };
+    for p in &mut site.passages {
+        p.axle_load_kg *= load;
+        p.sample_rate_hz *= rate;
     }
     site.crossing = crossing;
     Ok(())
@@ -175,6 +182,17 @@ mod tests {
         assert_eq!(counted(-4.0, 5.0), (-4.0, Some(-0.4), None));
         assert_eq!(counted(-4.0, 1.5), (-1.0, Some(-0.1), Some("noticed -4".into())));
         assert_eq!(counted(4.0, 0.1), (0.0, None, Some("noticed 4".into())));
+    }
+
+    /// A clock that may be wrong changed nothing.
+    #[test]
+    fn regress_what_recordings_state_themselves_is_changed_with_its_entry() {
+        let dir = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/data/field/reference-1");
+        let mut site = read_site(&dir).unwrap();
+        let load_kg = site.passages[3].axle_load_kg;
+        describe(&mut site, SAMPLE_RATE, 4004.0).unwrap();
+        assert!(site.passages.iter().all(|p| (p.sample_rate_hz - 4004.0).abs() < 1e-9));
+        assert_eq!((site.crossing.sensor.sample_rate_hz, site.passages[3].axle_load_kg), (4004.0, load_kg));
     }
 
     /// Nine tenths of a normal distribution lie within its tolerance; loads are all wrong by the same part.

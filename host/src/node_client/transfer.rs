@@ -168,14 +168,18 @@ impl NodeClient {
         Ok(())
     }
 
-    /// How many records of a file the node does not list from sequence `first` on: a download into that file would lose them.
+    /// How many records of a file the node does not list from sequence `first` on: a download into that file would lose them. What cannot be
+    /// read as records counts as one.
     pub fn not_listed(&mut self, file: &Path, first: u32) -> Result<usize, ClientError> {
         let bytes = read_if_there(file)?;
         if bytes.is_empty() {
             return Ok(0);
         }
         let listed: HashSet<u32> = self.list(first)?.iter().map(|entry| entry.crc).collect();
-        Ok(whole_records(&bytes).into_iter().filter(|record| !listed.contains(&crc_of(record))).count())
+        let records = whole_records(&bytes);
+        let unread = records.iter().map(|record| record.len()).sum::<usize>() < bytes.len();
+        let lost = records.into_iter().filter(|record| !listed.contains(&crc_of(record))).count();
+        Ok(lost + usize::from(unread))
     }
 
     /// Downloads the records from sequence `first` on into `file`, which appears when it is complete. What is there

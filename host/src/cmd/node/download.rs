@@ -49,7 +49,7 @@ pub(super) fn download_into(client: &mut NodeClient, out: &Path, since: u32) -> 
     let lost = client.not_listed(&file, since)?;
     if lost > 0 {
         bail!(
-            "{} holds {lost} records that the node does not list from sequence {since} on (overwritten since, or of another node), and \
+            "{} holds {lost} records that the node does not list from sequence {since} on (overwritten since, of another node, or damaged), and \
              would lose them; give another directory",
             file.display()
         );

@@ -89,8 +89,9 @@ impl Session<'_> {
     /// More than noise is recorded before trains come, enough to matter beside the wheels' scatter, and nothing named accounts for
     /// it.
     fn unrest_denial(&self) -> Option<Denial> {
-        // Without a search nothing is known of the wheels' scatter.
-        if self.scatter.1 <= 0.0 || self.latent_fits.iter().any(|(_, found)| found.apart) {
+        // Without a search nothing is known of the wheels' scatter; a noise of 0 is not stated.
+        let unstated = self.base.frame.base.crossing.sensor.noise_rms_m_s2 <= 0.0;
+        if unstated || self.scatter.1 <= 0.0 || self.latent_fits.iter().any(|(_, found)| found.apart) {
             return None;
         }
         let (observed, sensor) = (&self.base.frame.observed, &self.base.frame.base.crossing.sensor);

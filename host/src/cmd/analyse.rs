@@ -53,7 +53,7 @@ impl AnalyseArgs {
             .with_context(|| format!("cannot analyse site {}", self.site.display()))?;
         analysis.effects_included = included;
         if let Some(stated) = tolerances {
-            analysis.budget = stated.followed(&site, &analysis)?;
+            analysis.budget = stated.followed(&site, &analysis);
         }
         write_results(&self.out, &analysis)
             .with_context(|| format!("cannot write results to {}", self.out.display()))?;

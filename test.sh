@@ -46,7 +46,13 @@ qemu-system-arm --version | head -n 1
 step "format"
 cargo fmt --all --check
 
-step "lints"
+# The images keep one core busy most of the time, and lints the other.
+mkdir -p target
+{ cargo fw && cargo fw-qemu; } >target/firmware.log 2>&1 &
+images=$!
+trap 'kill "$images" 2>/dev/null || true' EXIT
+
+step "lints, and beside them the firmware"
 # The benches as well, which plain commands leave out. Of the release profile, so that build scripts, procedural macros and zstd are
 # compiled once for lints, documentation and tests.
 cargo clippy --release --all-targets --workspace --exclude cpcm-node -- -D warnings
@@ -59,12 +65,10 @@ step "documentation"
 RUSTDOCFLAGS="-D warnings" cargo doc --release --no-deps --workspace --exclude cpcm-node
 
 step "firmware: flash and RAM of both boards"
-# The images keep one core busy most of the time; what the tests need compiles beside them.
-{ cargo fw && cargo fw-qemu; } >target/firmware.log 2>&1 &
-images=$!
 cargo test --release --no-run --package cpcm --package cpcm-tests --lib --test '*'
 cargo build --release --package cpcm --bin cpcm
 wait "$images" || { cat target/firmware.log >&2; exit 1; }
+trap - EXIT
 cargo test --release --package cpcm-tests --test firmware -- --nocapture
 
 step "tests, and beside them the blind trials of the next step"

@@ -6,6 +6,7 @@
 //! are differences, except those for the path, which come from the linear model once per site.
 
 mod damping;
+mod descent;
 mod nearby;
 mod normal;
 mod priors;
@@ -22,8 +23,9 @@ use faer::linalg::solvers::{Llt, Solve as _};
 use faer::{Mat, MatRef};
 use rayon::prelude::*;
 
+use self::descent::Descent;
 use self::nearby::Nearby;
-use self::normal::{Normal, Step, dot, normal_equations};
+use self::normal::{Step, normal_equations};
 use self::priors::{SHIFT_SD_M, ballast_priors, prior_cost};
 use self::recall::simulate_in;
 use super::GapError;
@@ -186,6 +188,8 @@ fn mean_windows(
 struct Evaluation {
     detail: Detail,
     sensor: SensorModel,
+    /// Whether sleepers stay on a bed that is linear.
+    linear_bed: bool,
     responses: Vec<Response>,
     predicted: Vec<Vec<f64>>,
     residuals: Vec<Vec<f64>>,
@@ -208,7 +212,15 @@ impl Evaluation {
             .map(|(i, p)| frame.observed[*i].mean.iter().zip(p).map(|(m, p)| m - p).collect())
             .collect();
         let cost = cost(frame, effects, state, subset, &residuals);
-        Ok(Self { detail, sensor: world.sensor, responses, predicted, residuals, cost })
+        Ok(Self {
+            detail,
+            sensor: world.sensor,
+            linear_bed: world.bed.is_linear(),
+            responses,
+            predicted,
+            residuals,
+            cost,
+        })
     }
 }
 
@@ -283,21 +295,22 @@ pub fn fit(
     let mut state = start;
     let mut here = Evaluation::new(frame, effects, &state, (subset, options.detail))?;
     let mut columns = derivatives(frame, effects, &state, subset, &here)?;
+    let mut descent = Descent { frame, effects, subset, options, damped: None };
     let mut fresh = true;
     for step in 0..options.steps {
         let linear = whiten(frame, subset, &columns, &here);
         let normal = normal_equations(frame, effects, &state, &shape, &linear, subset);
-        let next = descend(frame, effects, (&state, &here), &normal, subset, options.damped)?;
-        let gained = next.as_ref().map_or(0.0, |(_, e)| here.cost - e.cost);
-        if let Some((s, e)) = next {
+        let stride = descent.stride((&state, &here), &normal)?;
+        let converged = fresh && stride.converged;
+        let gained = stride.next.as_ref().map_or(0.0, |(_, e)| here.cost - e.cost);
+        if let Some((s, e)) = stride.next {
             (state, here) = (s, e);
             fresh = false;
         }
-        if gained <= options.tolerance.max(CONVERGED * here.cost) {
-            // Old derivatives may be what stops the descent.
-            if fresh || step >= options.renew {
-                break;
-            }
+        // Old derivatives may be what stops the descent.
+        let halted = gained <= descent.tolerance(here.cost) && (fresh || step >= options.renew);
+        if converged || halted {
+            break;
         }
         if step < options.renew {
             columns = derivatives(frame, effects, &state, subset, &here)?;
@@ -306,39 +319,6 @@ pub fn fit(
     }
     let linear = whiten(frame, subset, &columns, &here);
     finish(frame, effects, state, &shape, linear, here.cost, subset)
-}
-
-/// A step that promises more than this, nats, and more than this part of the cost, and lowers nothing however short, was misled by
-/// derivatives that hold nearby only.
-const PROMISING: (f64, f64) = (20.0, 5e-3);
-/// A fit ends where a step gains less than this part of its cost.
-const CONVERGED: f64 = 1e-3;
-/// Damping of the steps tried then, relative to the curvature along each unknown: of the path, of the others. The path's derivatives
-/// are those of the site's first world, and the first to mislead.
-const DAMPING: [[f64; 2]; 5] = [[1e9, 0.0], [0.3, 0.3], [3.0, 3.0], [30.0, 30.0], [300.0, 300.0]];
-
-/// First of ever shorter steps that lowers the cost and, where the straight ones are misled, of ever steeper ones (Marquardt 1963).
-fn descend(
-    frame: &Frame,
-    effects: &[&dyn Effect],
-    (state, here): (&State, &Evaluation),
-    normal: &Normal,
-    subset: &[usize],
-    damped: bool,
-) -> Result<Option<(State, Evaluation)>, GapError> {
-    let cost = here.cost;
-    let straight = normal.step([0.0; 2])?;
-    let lower = |step: &Step, scale: f64| {
-        let candidate = moved(frame, effects, state, step, scale, subset);
-        let evaluation = Evaluation::new(frame, effects, &candidate, (subset, here.detail)).ok()?;
-        (evaluation.cost < cost).then_some((candidate, evaluation))
-    };
-    let found = [1.0, 0.35, 0.1].into_iter().find_map(|scale| lower(&straight, scale));
-    let promised = 0.5 * dot(&straight.joint, &normal.vector);
-    if found.is_some() || !damped || promised < PROMISING.0.max(PROMISING.1 * cost) {
-        return Ok(found);
-    }
-    Ok(DAMPING.into_iter().find_map(|damping| lower(&normal.step(damping).ok()?, 1.0)))
 }
 
 /// Negative log posterior.

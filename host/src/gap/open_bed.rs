@@ -89,8 +89,8 @@ impl OpenBed {
         progress: &dyn Progress,
     ) -> Result<Option<Self>, GapError> {
         progress.begin("model of the bed that is not linear", (forms.len() + 1 + task.refits) as u64);
-        let Some(form) = best_form(task, forms, progress)? else { return Ok(None) };
-        let mut model = Self::of(task, form)?;
+        let Some((form, model)) = best_form(task, forms, progress)? else { return Ok(None) };
+        let mut model = model.map_or_else(|| Self::of(task, form), Ok)?;
         progress.step();
         for _ in 0..task.refits {
             let beyond = model.beyond_its_bogies()?;
@@ -155,29 +155,30 @@ impl OpenBed {
     }
 }
 
-/// The choice of forms with which a few passages are missed by least.
+/// The choice of forms with which a few passages are missed by least, and its model where those are all that are searched.
 fn best_form<'f>(
     task: Task,
     forms: &'f [Vec<Form>],
     progress: &dyn Progress,
-) -> Result<Option<&'f Vec<Form>>, GapError> {
+) -> Result<Option<(&'f Vec<Form>, Option<OpenBed>)>, GapError> {
     let [first, others @ ..] = forms else { return Ok(None) };
     if others.is_empty() {
-        return Ok(Some(first));
+        return Ok(Some((first, None)));
     }
     let few = thinned(task.searched, FORM_PASSAGES);
+    let are_all = few.len() == task.searched.len();
     let site = task.site.with_passages(few.iter().map(|i| task.site.passages[*i].clone()).collect());
-    let all: Vec<usize> = (0..few.len()).collect();
-    let task = Task { site: &site, searched: &all, ..task };
-    let mut best: Option<(f64, &Vec<Form>)> = None;
+    let of_few: Vec<usize> = (0..few.len()).collect();
+    let task = if are_all { task } else { Task { site: &site, searched: &of_few, ..task } };
+    let mut best: Option<(&Vec<Form>, OpenBed)> = None;
     for form in forms {
-        let misfit = OpenBed::of(task, form)?.misfit();
+        let model = OpenBed::of(task, form)?;
         progress.step();
-        if best.is_none_or(|(least, _)| misfit < least) {
-            best = Some((misfit, form));
+        if best.as_ref().is_none_or(|(_, best)| model.misfit() < best.misfit()) {
+            best = Some((form, model));
         }
     }
-    Ok(best.map(|(_, form)| form))
+    Ok(best.map(|(form, model)| (form, are_all.then_some(model))))
 }
 
 /// A site without what is added to its recordings.

@@ -45,6 +45,12 @@ impl Normal {
         let own_m = self.own.iter().map(|o| (o.value - dot(&o.coupling, &joint)) / o.precision).collect();
         Ok(Step { joint, own_m })
     }
+
+    /// How much the cost falls by a step that is not damped, if the derivatives hold, nats.
+    pub(super) fn promised(&self, straight: &Step) -> f64 {
+        let own: f64 = self.own.iter().map(|o| o.value.powi(2) / o.precision).sum();
+        0.5 * (dot(&straight.joint, &self.vector) + own)
+    }
 }
 
 pub(super) fn normal_equations(
@@ -89,4 +95,38 @@ pub(super) fn dot(a: &Mat<f64>, b: &Mat<f64>) -> f64 {
 
 fn squared(a: &Mat<f64>) -> f64 {
     dot(a, a)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A cost that is quadratic in two unknowns and the own shift of one passage falls by what is promised, to its minimum.
+    #[test]
+    fn analytic_a_quadratic_cost_falls_by_what_is_promised() {
+        let column = |values: [f64; 2]| Mat::from_fn(2, 1, |i, _| values[i]);
+        let (curvature, coupling, right) = ([2.0, 3.0], column([1.0, 0.5]), column([1.0, 2.0]));
+        let (precision, value) = (4.0, 2.0);
+        let hessian = Mat::from_fn(2, 2, |i, j| {
+            f64::from(u8::from(i == j)) * curvature[i] - coupling[(i, 0)] * coupling[(j, 0)] / precision
+        });
+        let vector = &right - &coupling * faer::Scale(value / precision);
+        let own = vec![OwnShift { precision, coupling: coupling.clone(), value }];
+        let normal = Normal { path: 1, hessian, vector, own };
+        let step = normal.step([0.0; 2]).unwrap();
+        let cost = |scale: f64| {
+            let (x, own_m) = (&step.joint * faer::Scale(scale), scale * step.own_m[0]);
+            let along = |i: usize| 0.5 * curvature[i] * x[(i, 0)].powi(2);
+            along(0) + along(1) + own_m * dot(&coupling, &x) + 0.5 * precision * own_m.powi(2)
+                - dot(&right, &x)
+                - value * own_m
+        };
+        assert!(
+            (cost(1.0) + normal.promised(&step)).abs() < 1e-9,
+            "{} {}",
+            cost(1.0),
+            normal.promised(&step)
+        );
+        assert!(cost(0.99) > cost(1.0) && cost(1.01) > cost(1.0));
+    }
 }

@@ -170,15 +170,17 @@ fn best_form<'f>(
     let site = task.site.with_passages(few.iter().map(|i| task.site.passages[*i].clone()).collect());
     let of_few: Vec<usize> = (0..few.len()).collect();
     let task = if are_all { task } else { Task { site: &site, searched: &of_few, ..task } };
-    let mut best: Option<(&Vec<Form>, OpenBed)> = None;
+    let mut best: Option<(f64, &Vec<Form>, Option<OpenBed>)> = None;
     for form in forms {
         let model = OpenBed::of(task, form)?;
+        let misfit = model.misfit();
         progress.step();
-        if best.as_ref().is_none_or(|(_, best)| model.misfit() < best.misfit()) {
-            best = Some((form, model));
+        if best.as_ref().is_none_or(|(least, ..)| misfit < *least) {
+            // A model keeps what it has simulated; one of a few passages is of no use any more.
+            best = Some((misfit, form, are_all.then_some(model)));
         }
     }
-    Ok(best.map(|(form, model)| (form, are_all.then_some(model))))
+    Ok(best.map(|(_, form, model)| (form, model)))
 }
 
 /// A site without what is added to its recordings.

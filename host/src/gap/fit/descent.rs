@@ -25,7 +25,7 @@ pub(super) struct Descent<'a> {
     pub(super) effects: &'a [&'a dyn Effect],
     pub(super) subset: &'a [usize],
     pub(super) options: FitOptions,
-    /// Damping with which the last step succeeded.
+    /// Which of [`DAMPING`] the last step needed, if it succeeded with one.
     pub(super) damped: Option<usize>,
 }
 

@@ -6,8 +6,8 @@ use cpcm::gap::effect::Stage;
 use cpcm::gap::verdict::Verdict;
 use cpcm::recording::{Format, read_site, write_site};
 use cpcm::scenario::effects::{
-    BallastMass, BallastStiffening, BiasSteps, CrossingRail, Factor, FrontRear, HollowWheels, LoadTransfer,
-    Mount, PadStiffness, Saturation, StockIrregularity, Tonal, VoidedSleepers, WheelFlats,
+    BallastMass, BallastStiffening, BiasSteps, ClockError, CrossingRail, Factor, FrontRear, HollowWheels,
+    LoadTransfer, Mount, PadStiffness, Saturation, StockIrregularity, Tonal, VoidedSleepers, WheelFlats,
     WheelOutOfRoundness,
 };
 use cpcm::scenario::{Effects, Scenario, read_scenario};
@@ -156,6 +156,20 @@ fn regress_stiffening_ballast_beside_interference_is_named() {
     scenario.simulation.effects = Effects { tonal, ballast_stiffening, ..Effects::default() };
     let found = among(&few(&scenario), &["tonal", "ballast-stiffening"]);
     assert_eq!(named(&found), ["tonal", "ballast-stiffening"], "{:?} {:?}", found.verdict, found.remarks);
+}
+
+/// Stiffening this strong lay at the end of its range, where fits are refused, and its prior pulled weaker ones down; from a linear bed
+/// the fit stopped halfway besides.
+#[test]
+fn regress_ballast_that_stiffens_within_a_tenth_of_a_millimetre_is_named_and_measured() {
+    let mut scenario = trial(47, 141, &["ballast-stiffening"]);
+    let truth_m = 1.029e-4;
+    scenario.simulation.effects.ballast_stiffening =
+        Some(BallastStiffening { doubling_m: truth_m, bilinear_factor: None });
+    let found = among(&recorded(&scenario), &["ballast-stiffening", "unsprung-mass"]);
+    assert_eq!(named(&found), ["ballast-stiffening"], "{:?} {:?}", found.verdict, found.remarks);
+    let (_, _, low, high) = found.effects[0].parameters[0];
+    assert!(low < truth_m && truth_m < high, "{low} … {high}");
 }
 
 /// What acts on the displacement, left out of the catalogue, was called no gap.
@@ -372,6 +386,22 @@ fn regress_a_mount_over_a_void_is_named() {
     assert_eq!(named(&found), ["voided-sleepers", "mount-resonance"], "{:?}", found.remarks);
     let (_, _, low, high) = found.effects[1].parameters[0];
     assert!(low < truth_hz && truth_hz < high, "{low} … {high}");
+}
+
+/// What the clock does was taken for a description of the panel that wheels over the void denied, and the search had ended.
+#[test]
+fn regress_a_void_is_named_beside_a_clock_that_runs_wrong() {
+    let mut scenario = trial(47, 157, &["clock-error", "crossing-rail"]);
+    let gap_m = 0.6145e-3;
+    scenario.simulation.effects = Effects {
+        clock_error: Some(ClockError { relative: -0.021_035_7 }),
+        voided_sleepers: Some(VoidedSleepers::in_the_middle(gap_m)),
+        ..Effects::default()
+    };
+    let found = full(&recorded(&scenario));
+    assert_eq!(named(&found), ["clock-error", "voided-sleepers"], "{:?}", found.remarks);
+    let (_, _, low, high) = found.effects[1].parameters[0];
+    assert!(low < gap_m && gap_m < high, "{low} … {high}");
 }
 
 /// Ballast had taken over what pads and mount do: with the mount alone nothing was taken off the residual, and light wheelsets were

@@ -105,9 +105,10 @@ impl Session<'_> {
     }
 
     /// Whether wheels differ in ways that the model does not know, with an effect of the panel in it: what is looked for on top would
-    /// mend the description of that effect, but for wheels with which they do no longer.
+    /// mend the description of that effect, but for wheels with which they do no longer. What the recorder does describes no panel.
     fn adrift(&self) -> bool {
-        !self.accepted.is_empty() && self.base.variation.beyond_linear()
+        self.accepted.iter().any(|e| !matches!(e.stage(), Stage::Sensor | Stage::Timing))
+            && self.base.variation.beyond_linear()
     }
 
     /// Whether wheels run at depths that sound ones do not, and none of their effects is in the model: what their mean does would pass

@@ -1,9 +1,10 @@
 //! Ballast that stiffens under load, F = k w (1 + w/w₀): all sleepers.
 //!
-//! w₀ is the displacement at which the secant stiffness has doubled. Range: from a fifth of a usual deflection (0.5 mm,
-//! paper fig. 12) to where nothing is left of the effect. The search runs over 1/w₀, which is nought without the effect.
+//! w₀ is the displacement at which the secant stiffness has doubled. The search runs over 1/w₀, which is nought without the effect.
+//! Range: from where nothing is left of the effect to a tenth of a usual deflection (0.5 mm, paper fig. 12), beyond which a bed is
+//! next to a stop. The prior bears a fifth of it: 1/w₀ of 10/mm is 2.5 standard deviations.
 
-use crate::gap::effect::{Advice, Effect, MODEL_ERROR, Parameter, Scale, Stage};
+use crate::gap::effect::{Advice, Effect, Hints, MODEL_ERROR, Parameter, Scale, Stage};
 use crate::gap::included::{How, Inclusion, TAKEN_OFF};
 use crate::gap::world::World;
 
@@ -14,8 +15,8 @@ const PARAMETERS: [Parameter; 1] = [Parameter {
     name: "doubling_m",
     scale: Scale::Inverse,
     unit_size: 1e-3,
-    prior: (0.0, 1.5),
-    range: [0.0, 10.0],
+    prior: (0.0, 4.0),
+    range: [0.0, 20.0],
     step: 0.05,
     least: 0.0,
     model_error: MODEL_ERROR,
@@ -48,6 +49,11 @@ impl Effect for BallastStiffening {
 
     fn nought(&self) -> Option<Vec<f64>> {
         Some(vec![0.0])
+    }
+
+    fn starts(&self, _hints: &Hints) -> Vec<Vec<f64>> {
+        // Fits from a linear bed may stop halfway to one that is several times as stiff under a wheel.
+        vec![vec![0.0], vec![5.0]]
     }
 
     fn apply(&self, world: &mut World, values: &[f64]) {
